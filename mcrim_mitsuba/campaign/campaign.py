@@ -32,6 +32,7 @@ from mcrim_mitsuba.core.numbers import (
     ALPHA_ABS,
     ALPHA_SCAT,
     COEFFICIENTS,
+    COUNTED,
     Value,
     judge,
     value_text,
@@ -42,6 +43,7 @@ from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, is_plain_n
 from mcrim_mitsuba.effects.catalogue import catalogue, effect_of, exclude_each_other
 from mcrim_mitsuba.effects.effect import Effect, with_new_names
 from mcrim_mitsuba.effects.trust import refuse_untrusted, trust, whose
+from mcrim_mitsuba.scene.check_text import problems_of_counted
 from mcrim_mitsuba.scene.emitted_light import EmittedLight, read_light
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.spectrophotometer import (
@@ -604,5 +606,7 @@ def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measureme
         of_bench = {n: v for n, v in reading.parameters.items() if n not in BEAM_PARAMETERS}
         if (key := tuple(of_bench.items())) not in taken:
             with said_by(partial(measurements.refusal, reading, None)):
-                scene.with_overrides(of_bench)
+                as_measured = scene.with_overrides(of_bench)
+            for wrong_name in problems_of_counted(as_measured):
+                raise measurements.refusal(reading, COUNTED, wrong_name.text, wrong_name.mend)
             taken.add(key)

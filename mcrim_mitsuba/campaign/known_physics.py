@@ -64,6 +64,7 @@ class KnownCrystal:
 
         Unless it is `assumed`, nothing is known of an emission that has no spectrum.
         """
+        asked = not (name is emission is wavelength_nm is None)
         name = name or material_of(campaign)
         if name is None:
             reason = "nothing tells what the crystal is made of: give --material, such as CaMoO4"
@@ -79,9 +80,14 @@ class KnownCrystal:
         elif wavelength_nm is not None:
             spectrum = None
         band = depth = None
-        if assumed or spectrum is not None:
-            band = indices_over_band(name, spectrum, efficiency, wavelength_nm)
         crystal, refused = material(name), {}
+        if assumed or spectrum is not None:
+            try:
+                band = indices_over_band(name, spectrum, efficiency, wavelength_nm)
+            except InputError as error:
+                if asked or spectrum is not None:
+                    raise
+                refused[CRYSTAL_INDEX] = f"{error.problem}: {error.mend}"
         if campaign.light_yield is None or crystal.formula is None:
             lacking = "energy_keV in [light_yield]" if crystal.formula else "a formula"
             refused[SOURCE_DEPTH] = f"there is no {lacking}"

@@ -18,7 +18,7 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import Number, Whole, defined, option
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import READS, STDOUT, collected, write_bytes, write_text
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, COUNTED
 from mcrim_mitsuba.output import describe_scene
 from mcrim_mitsuba.output.registry import VerbResult
 from mcrim_mitsuba.transport.launch_plan import LANES
@@ -293,7 +293,13 @@ def read_axes(
         options_of_axes = ", ".join(option for option, _ in AXES.values())
         raise InputError(problem, f"give {options_of_axes} or another, such as 0.1,0.5")
     notes = [note for option, _, text in typed for note in told_of_comma(option, text)]
-    return {name: parse_list(option, text, name, folder) for option, name, text in typed}, notes
+    lists = {
+        name: [part.strip() for part in text.split(",")]
+        if name == COUNTED
+        else parse_list(option, text, name, folder)
+        for option, name, text in typed
+    }
+    return lists, notes
 
 
 @click.command(short_help="Table of the light collection efficiency of a scene.")
@@ -352,9 +358,9 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **lists
     showing.show(screen, description, tabulated.draw(figure) if figure else ())
 
 
-def _abbreviated(values: list[float]) -> str:
+def _abbreviated(values: list[float] | list[str]) -> str:
     """``0.1, 0.5``; of a long list both ends: ``0.01, 0.06, ..., 2 (40 values)``."""
-    texts = [f"{value:.6g}" for value in values]
+    texts = [value if isinstance(value, str) else f"{value:.6g}" for value in values]
     if len(texts) > _MOST_SHOWN:
         return f"{texts[0]}, {texts[1]}, ..., {texts[-1]} ({len(texts)} values)"
     return ", ".join(texts)

@@ -23,6 +23,9 @@ FWHM = 2.0 * math.sqrt(2.0 * math.log(2.0))
 ALPHA_SCAT = "alpha_scat_per_cm"
 ALPHA_ABS = "alpha_abs_per_cm"
 COEFFICIENTS = ALPHA_SCAT, ALPHA_ABS
+#: Parameter that says whose light is eta: the id of a detector's shape, or all of several.
+COUNTED = "detector"
+ALL_DETECTORS = "all"
 
 Value = float | bool | int | str
 

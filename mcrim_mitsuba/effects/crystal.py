@@ -272,6 +272,9 @@ def births_behind(name: str, what: str) -> EffectParameter:
 
 def edit_births(editor: SceneEditor, name: str, face: str) -> None:
     """Let the births fall with the depth below a face, by the effect's parameter of this name."""
+    if name == _DEPTH_MM and editor.emitter.named("source_width_mm") is not None:
+        problem = "light is born in a slab, and does not fall with the depth below the top"
+        raise editor.refusal(problem, "take source_width_mm away", editor.emitter)
     set_numbers(editor, editor.emitter, name)
     editor.reword(editor.emitter, "everywhere in the crystal", f"near the {face} of the crystal")
 
@@ -291,6 +294,8 @@ def weight_births(
     return lengths / -np.expm1(-lengths) * births
 
 
+_DEPTH_MM = "source_depth_mm"
+
 SOURCE_DEPTH = Effect(
     name="source_depth",
     title="source near the top face",
@@ -306,13 +311,13 @@ SOURCE_DEPTH = Effect(
         "with a density proportional to exp(-t / depth), not everywhere alike."
     ),
     source=_GAMMAS,
-    parameters=(births_behind("source_depth_mm", "Depth below the top"),),
+    parameters=(births_behind(_DEPTH_MM, "Depth below the top"),),
     excludes=("side_source",),
     needs=("crystal_height_mm",),
-    edit=partial(edit_births, name="source_depth_mm", face="top"),
+    edit=partial(edit_births, name=_DEPTH_MM, face="top"),
     columns=("birth_depth_mm",),
     weight=partial(
-        weight_births, name="source_depth_mm", column="birth_depth_mm", length="crystal_height_mm"
+        weight_births, name=_DEPTH_MM, column="birth_depth_mm", length="crystal_height_mm"
     ),
 )
 

@@ -27,12 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.numbers import COUNTED, Value
 from mcrim_mitsuba.core.run import one_thread
 from mcrim_mitsuba.effects.effect import Effect, modules_of
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.runs.executors import Content
 from mcrim_mitsuba.runs.scene_units import PortableScene, SceneUnit
+from mcrim_mitsuba.scene.check_text import detectors_of
 from mcrim_mitsuba.scene.emitted_light import Colours
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords, ScatteringProposals
@@ -343,21 +344,53 @@ def has_open_mask(scene: SceneFile) -> bool:
     masks = (bsdf for bsdf in scene.root.iter("bsdf") if bsdf.get("type") == "aperture")
     if any(part.get("name") == "reflectance" for mask in masks for part in mask):
         return False
-    wider = scene.with_overrides(open_aperture(scene.parameters))
-    for before, after in zip(scene.root.iter(), wider.root.iter(), strict=True):
+    return _changes_only("radius", "aperture", scene, open_aperture(scene.parameters))
+
+
+@functools.lru_cache(maxsize=64)
+def tells_detectors(scene: SceneFile) -> bool:
+    """Whether a parameter says whose light is eta, only: records of all then answer for each."""
+    detectors = detectors_of(scene)
+    if COUNTED not in scene.parameters or len(detectors) < 2:
+        return False
+    other = next(name for name in detectors if name != scene.parameters[COUNTED])
+    return _changes_only(COUNTED, "light_collection", scene, {COUNTED: other})
+
+
+def _changes_only(name: str, plugin: str, scene: SceneFile, overrides: Mapping[str, Value]) -> bool:
+    """Whether overrides change nothing but what is called `name` of a plugin's elements."""
+    other = scene.with_overrides(overrides)
+    for before, after in zip(scene.root.iter(), other.root.iter(), strict=True):
         parent = before.getparent()
-        if before.attrib != after.attrib and not (
-            before.get("name") == "radius"
-            and parent is not None
-            and parent.get("type") == "aperture"
-        ):
+        of_plugin = parent is not None and parent.get("type") == plugin
+        if before.attrib != after.attrib and not (of_plugin and before.get("name") == name):
             return False
     return True
+
+
+def counted(
+    records: PhotonRecords,
+    mask: str | None,
+    radius_mm: float | None,
+    detector: str | None,
+    detectors: list[str],
+) -> NDArray[np.bool_] | None:
+    """(detected,) photons that a mask lets through and that a detector took; None for all.
+
+    `mask` is the column that holds the radius which it must have, `detectors` their names.
+    """
+    kept = None if mask is None else records.further[mask] <= radius_mm
+    if detector is None:
+        return kept
+    taken = records.further[DETECTOR_HIT] == detectors.index(detector)
+    return taken if kept is None else taken & kept
 
 
 # One simulation with the tables of eta that are made of its photons: a unit of diagnoses.
 
 MASK, ANGLE = "mask_radius_mm", "arrival_angle_deg"
+#: Column of the detector's number.
+DETECTOR_HIT = "detector"
 #: Tables that are made at once.
 _AT_ONCE = 2
 
@@ -372,6 +405,8 @@ class TableRequest:
     coarse: bool
     #: Of a mask, to be cut out of the records; None: photons count as they are.
     radius_mm: float | None
+    #: Whose light counts; None: that of the scene's.
+    detector: str | None
     #: That weights the photons.
     effect: Effect | None
     #: Of the effect's parameters.
@@ -393,6 +428,7 @@ class TableRequest:
     def columns(self) -> tuple[str, ...]:
         """Of the records, that it is made of."""
         own = () if self.effect is None else (*self.effect.columns, self.mask)
+        own += () if self.detector is None else (DETECTOR_HIT,)
         return own if self.radius_mm is None else (ANGLE if self.of_beam else MASK, *own)
 
 
@@ -419,8 +455,8 @@ class TableUnit(SceneUnit):
         from mcrim_mitsuba.transport.collection import Recorder
 
         columns = [name for request in self.requests for name in request.columns]
-        recorder = Recorder(self.loaded(threads))
-        records = recorder.record(
+        simulation = self.loaded(threads)
+        records = Recorder(simulation).record(
             self.proposals,
             self.photons,
             seed=self.seed,
@@ -428,16 +464,17 @@ class TableUnit(SceneUnit):
             columns=tuple(dict.fromkeys(columns)),
             batches=BATCHES,
         )
-        groups: dict[tuple[bool, str, float | None], list[TableRequest]] = {}
+        groups: dict[tuple[bool, str, float | None, str | None], list[TableRequest]] = {}
         for request in self.requests:
             # beams are cut at their angles photon by photon: one preparation serves all
             radius_mm = None if request.of_beam else request.radius_mm
-            key = request.coarse, request.mask, radius_mm
+            key = request.coarse, request.mask, radius_mm, request.detector
             groups.setdefault(key, []).append(request)
         at_once = min(threads or _AT_ONCE, _AT_ONCE)
         with one_thread(), ThreadPoolExecutor(at_once) as pool:
             for_each = map if at_once == 1 else pool.map
-            made = for_each(lambda group: self._tables(records, group), groups.values())
+            detectors = simulation.model.detectors
+            made = for_each(lambda of: self._tables(records, of, detectors), groups.values())
             return {number: content for tables in made for number, content in tables}
 
     def loaded(self, threads: int | None, *, check: bool = False) -> Simulation:
@@ -456,13 +493,12 @@ class TableUnit(SceneUnit):
             ) from None
 
     def _tables(
-        self, records: PhotonRecords, group: list[TableRequest]
+        self, records: PhotonRecords, group: list[TableRequest], detectors: list[str]
     ) -> list[tuple[int, Content]]:
-        """Tables on one grid behind one mask."""
+        """Tables on one grid behind one mask, of one of the `detectors` or of all."""
         first = group[0]
-        kept = None
-        if first.radius_mm is not None and not first.of_beam:
-            kept = records.further[first.mask] <= first.radius_mm
+        mask = None if first.radius_mm is None or first.of_beam else first.mask
+        kept = counted(records, mask, first.radius_mm, first.detector, detectors)
         gathering = GridReweighter(records, self.grids[first.coarse], kept)
         columns = {name: column[gathering.order] for name, column in records.further.items()}
         made: list[tuple[int, Content]] = []

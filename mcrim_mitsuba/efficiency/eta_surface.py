@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,13 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run, one_thread
 from mcrim_mitsuba.efficiency.eta_grid import (
+    DETECTOR_HIT,
     MASK,
     EtaGrid,
     Grid,
     GridReweighter,
     content_of,
+    counted,
     merged,
     standard_error,
     table_of,
@@ -174,24 +177,31 @@ class EtaSurface:
             )
 
 
-#: Masks to be cut out of records: the radii of their holes, mm; None: photons count as they are.
-Masks = tuple[float | None, ...]
+class Cut(NamedTuple):
+    """What of the records counts; None each: all."""
+
+    #: Radius of the hole of a mask, mm.
+    mask_mm: float | None = None
+    #: Whose light.
+    detector: str | None = None
 
 
 @dataclass(frozen=True)
 class GridBlock(LaunchBlock):
-    """Launches of photons, answered on a grid behind one mask or several."""
+    """Launches of photons, answered on a grid for one cut of the records or several."""
 
     proposals: ScatteringProposals
     grid: Grid
-    masks_mm: Masks = (None,)
+    cuts: tuple[Cut, ...] = (Cut(),)
 
     def make(self, threads: int | None) -> dict[int, Content]:
         """Simulate; one thread weighs a launch's records while the next one is under way."""
         from mcrim_mitsuba.transport.collection import Recorder
 
-        recorder = Recorder(self.loaded(threads))
-        columns = () if self.masks_mm == (None,) else (MASK,)
+        simulation = self.loaded(threads)
+        recorder, detectors = Recorder(simulation), simulation.model.detectors
+        columns = [MASK] if any(cut.mask_mm is not None for cut in self.cuts) else []
+        columns += [DETECTOR_HIT] if any(cut.detector is not None for cut in self.cuts) else []
         tables: list[Future[EtaGrid]] = []
         with one_thread(), ThreadPoolExecutor(1) as weigher:
             for number, photons in enumerate(self.launches, self.first):
@@ -201,19 +211,18 @@ class GridBlock(LaunchBlock):
                 # two launches' records at most lie in memory
                 for before in tables[-1:]:
                     before.result()
-                tables.append(weigher.submit(self._tables, records))
+                tables.append(weigher.submit(self._tables, records, detectors))
             whole = merged([table.result() for table in tables], self.launches)
         return {self.numbers[0]: content_of(whole)}
 
-    def _tables(self, records: PhotonRecords) -> EtaGrid:
-        """Records on the grid, all of their batches kept; its first axis is that of the masks."""
+    def _tables(self, records: PhotonRecords, detectors: list[str]) -> EtaGrid:
+        """Records on the grid, all of their batches kept; its first axis is that of the cuts."""
         gathering = GridReweighter(records, self.grid, batches=records.batches)
         tables = []
-        for radius_mm in self.masks_mm:
-            passed = None
-            if radius_mm is not None:
-                passed = records.further[MASK][gathering.order] <= radius_mm
-            tables.append(gathering.table(passed))
+        for radius_mm, detector in self.cuts:
+            mask = None if radius_mm is None else MASK
+            kept = counted(records, mask, radius_mm, detector, detectors)
+            tables.append(gathering.table(None if kept is None else kept[gathering.order]))
         return EtaGrid(
             np.stack([table.log_eta for table in tables]),
             np.stack([table.deviations for table in tables], axis=1),
@@ -234,8 +243,9 @@ class EtaRequest:
     #: What else may be asked for, in alpha_scat and in alpha_abs; None for the points' own range.
     alpha_scat_range_per_cm: tuple[float, float] | None = None
     alpha_abs_range_per_cm: tuple[float, float] | None = None
-    #: To be answered by the same photons, which a mask in the scene must not keep off then.
-    masks_mm: Masks = (None,)
+    #: To be answered by the same photons, which a mask in the scene must not keep off then, and
+    #: whose integrator counts all detectors.
+    cuts: tuple[Cut, ...] = (Cut(),)
 
     @property
     def grid(self) -> Grid:
@@ -282,7 +292,7 @@ class EtaRun:
                 "seed": run.seed,
                 "proposals": dataclasses.asdict(self._proposals),
                 "grid": dataclasses.asdict(self._grid),
-                "masks": request.masks_mm,
+                "cuts": request.cuts,
                 "versions": record_versions(run.variant, __name__),
                 "layout": _LAYOUT,
             }
@@ -295,12 +305,12 @@ class EtaRun:
 
     @property
     def surface(self) -> EtaSurface:
-        """Of all photons so far, behind the first mask; ValueError if there are none."""
+        """Of all photons so far, for the first cut; ValueError if there are none."""
         return self.surfaces[0]
 
     @property
     def surfaces(self) -> list[EtaSurface]:
-        """One for each mask; ValueError as for `surface`."""
+        """One for each cut; ValueError as for `surface`."""
         if not self._tables:
             raise ValueError("nothing was simulated yet")
         whole = merged(self._tables, self._photons_of)
@@ -330,7 +340,7 @@ class EtaRun:
                     block,
                     self._proposals,
                     self._grid,
-                    of.masks_mm,
+                    of.cuts,
                 ),
                 self._cache,
             )
@@ -342,7 +352,7 @@ class EtaRun:
         unit = done.job.unit
         assert isinstance(unit, GridBlock)
         (chunk,) = done.chunks.values()
-        shape = len(self.request.masks_mm), *self._grid.counts
+        shape = len(self.request.cuts), *self._grid.counts
         self._tables.append(table_of(chunk.arrays, *shape))
         self._photons_of.append(unit.photons)
         self._launches += len(unit.launches)

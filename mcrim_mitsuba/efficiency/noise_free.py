@@ -239,7 +239,7 @@ def _emission(simulation: Simulation) -> tuple:
     """Where light is born: its depth below a face, or the axis and the width of a beam."""
     crystal = simulation.crystal
     beam = _beam_axis(simulation), getattr(crystal, "diameter_mm", None)
-    return crystal.source_depth_mm, crystal.side_depth_mm, *beam
+    return crystal.source_depth_mm, crystal.side_depth_mm, crystal.in_slab, *beam
 
 
 def _beam_axis(simulation: Simulation) -> int | None:

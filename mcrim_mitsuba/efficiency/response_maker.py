@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.tolerances import Tolerance
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
+from mcrim_mitsuba.core.numbers import ALL_DETECTORS, ALPHA_ABS, ALPHA_SCAT, COUNTED, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled
@@ -33,6 +33,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     difference,
     has_open_mask,
     open_aperture,
+    tells_detectors,
 )
 from mcrim_mitsuba.efficiency.proposals import (
     USUAL_ALPHA_SCAT_PER_CM,
@@ -186,11 +187,16 @@ class ResponseMaker:
         elif self._open_mask and has_open_mask(scene):
             radius = float(parameters[APERTURE])
             parameters |= open_aperture(parameters)
+        detector = None
+        if tells_detectors(scene) and parameters[COUNTED] != ALL_DETECTORS:
+            detector = str(parameters[COUNTED])
+            parameters[COUNTED] = ALL_DETECTORS
         return PlannedRun(
             base=_usual(scene),
             overrides={n: v for n, v in parameters.items() if n in scene.parameters},
             parameters=values,
             radius_mm=radius,
+            detector=detector,
             photons=photons,
             check=check,
             of_beam=of_beam,

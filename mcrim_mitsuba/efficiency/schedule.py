@@ -43,6 +43,8 @@ class PlannedRun:
     #: The mask's radius, to be cut out of the records; None: the scene is run as it is.
     radius_mm: float | None
     photons: int
+    #: Whose light counts, as the records tell; None: the scene's.
+    detector: str | None = None
     check: bool = False
     #: Whether it is of a spectrophotometer; `radius_mm` is then its acceptance in degrees.
     of_beam: bool = False
@@ -64,7 +66,7 @@ class PlannedRun:
 
         The number of its chunk in the cache is made of all that it depends on.
         """
-        identity: list[object] = [*self.identity, self.radius_mm, coarse]
+        identity: list[object] = [*self.identity, self.radius_mm, self.detector, coarse]
         if effect is not None:
             light = ALPHA_SCAT, ALPHA_ABS
             parameters = {n: v for n, v in self.parameters.items() if n not in light}
@@ -74,6 +76,7 @@ class PlannedRun:
             number=number_of(*identity),
             coarse=coarse,
             radius_mm=self.radius_mm,
+            detector=self.detector,
             effect=effect,
             values=values or {},
             parameters=self.parameters,

@@ -100,8 +100,8 @@ def _lacking(simulation: Simulation, photons: int, run: Run, max_depth: int) -> 
 class _UnitTally:
     """What the units of one run have tallied so far."""
 
-    def __init__(self, head_on: float) -> None:
-        self.tally = FateTally(head_on=head_on)
+    def __init__(self, empty: FateTally) -> None:
+        self.tally = empty
         self.launches = self.cached_photons = 0
         self.seconds, self.path = 0.0, ""
 
@@ -141,7 +141,8 @@ def _collect_in_units(
 ) -> SimulationResult:
     """Collect light in units of launches that are kept; see `Simulation.collect`."""
     remember(simulation)
-    executor, size = current_executor(), simulation.launcher().size
+    executor, launcher = current_executor(), simulation.launcher()
+    size = launcher.size
     cache = executor.cache(
         {
             "what": "tallies",
@@ -155,7 +156,7 @@ def _collect_in_units(
     block = functools.partial(
         TallyBlock, what, simulation.file, run.seed, simulation.variant, True, max_depth=max_depth
     )
-    so_far, interrupted = _UnitTally(simulation.model.head_on), False
+    so_far, interrupted = _UnitTally(launcher.tally), False
     tally, start = so_far.tally, time.perf_counter()
     try:
         while wanted := so_far.lacking(photons, run.precision, size):

@@ -14,17 +14,26 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import (
+    ALL_DETECTORS,
     ALPHA_ABS,
     ALPHA_SCAT,
     COEFFICIENTS,
+    COUNTED,
     Value,
     judge,
     number_of,
 )
 from mcrim_mitsuba.core.run import OverAxes, Run
-from mcrim_mitsuba.efficiency.eta_grid import APERTURE, has_open_mask, open_aperture
+from mcrim_mitsuba.efficiency.attenuation import SOURCE_Z, Attenuation, attenuations
+from mcrim_mitsuba.efficiency.eta_grid import (
+    APERTURE,
+    has_open_mask,
+    open_aperture,
+    tells_detectors,
+)
 from mcrim_mitsuba.efficiency.eta_surface import (
     MOST_PHOTONS,
+    Cut,
     EtaRequest,
     EtaRun,
     EtaSurface,
@@ -33,6 +42,7 @@ from mcrim_mitsuba.efficiency.eta_surface import (
 from mcrim_mitsuba.efficiency.proposals import SMALLEST_PER_CM
 from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.efficiency.surface import Coefficients
+from mcrim_mitsuba.scene.check_text import problems_of_counted
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.simulation import SimulationResult
 
@@ -55,6 +65,8 @@ class EtaTable(OverAxes):
     eta_sigma: NDArray[np.float64]
     #: How many of the photons that the points rest on the cache had.
     cached_photons: int
+    #: Fits over ``source_z_mm``, where that is an axis of three values or more.
+    attenuation: tuple[Attenuation, ...] = ()
     #: What the reader must know before using the numbers.
     notes: tuple[str, ...] = ()
 
@@ -135,11 +147,16 @@ def eta_table(
     precision = run.precision
     run = replace(run, photons=run.photons_or(MOST_PHOTONS if precision else DEFAULT_PHOTONS))
     answers, work, notes = _answer_all(file, grid, run)
-    values = np.array([answers[key, p] for key in grid.configurations for p in grid.points])
+    in_order = [answers[key, p] for key in grid.configurations for p in grid.points]
+    eta, eta_sigma = (
+        np.array([getattr(answer, name) for answer in in_order]).reshape(grid.shape)
+        for name in ("eta", "sigma")
+    )
     table = EtaTable(
         axes=grid.axes,
-        eta=values[:, 0].reshape(grid.shape),
-        eta_sigma=values[:, 1].reshape(grid.shape),
+        eta=eta,
+        eta_sigma=eta_sigma,
+        attenuation=_attenuations(grid, eta, in_order),
         photons=sum(part.photons for part in work),
         cached_photons=sum(part.cached_photons for part in work),
         seed=run.seed,
@@ -161,6 +178,19 @@ def eta_table(
             f"{100 * worst:.2g} %"
         )
     return replace(table, notes=(*table.notes, *notes))
+
+
+def _attenuations(
+    grid: TableGrid, eta: NDArray[np.float64], answers: Sequence[_Answer]
+) -> tuple[Attenuation, ...]:
+    """Fits over the place of birth; none where a point was simulated on its own."""
+    batches = [answer.batches for answer in answers if answer.batches is not None]
+    if SOURCE_Z not in grid.axes or len(batches) < len(answers):
+        return ()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_eta = np.log(eta)
+        of_batches = np.log(np.transpose(batches)).reshape(-1, *grid.shape) - log_eta
+    return attenuations(grid.axes, log_eta, of_batches)
 
 
 @dataclass(frozen=True)
@@ -211,24 +241,27 @@ class _Configuration(NamedTuple):
     scene: SceneFile
     recorded_name: str
     recorded: SceneFile
-    #: Radius of the mask that is cut out of these; None: they are answered as they are.
-    mask_mm: float | None
+    #: What of these counts.
+    cut: Cut
 
     @classmethod
     def of(cls, file: SceneFile, given: dict[str, Value], *, cuts_masks: bool) -> _Configuration:
-        """With these parameters; where masks are cut out, one bench without serves them all."""
-        scene = file.with_overrides(given)
-        name = _words(given) or file.path.name
-        if not cuts_masks:
-            return cls(name, scene, name, scene, None)
-        mask_mm = float(given.pop(APERTURE))
-        return cls(
-            name,
-            scene,
-            _words(given) or file.path.name,
-            scene.with_overrides(open_aperture(scene.parameters)),
-            mask_mm,
-        )
+        """With these parameters; one bench without masks, which are cut out, serves them all.
+
+        So does one of all detectors. Raises InputError if there is no such detector.
+        """
+        scene = recorded = file.with_overrides(given)
+        for problem in problems_of_counted(scene):
+            raise problem.error()
+        name, mask_mm, detector = _words(given) or file.path.name, None, None
+        if cuts_masks:
+            mask_mm = float(given.pop(APERTURE))
+            recorded = recorded.with_overrides(open_aperture(scene.parameters))
+        if COUNTED in given and tells_detectors(scene):
+            counted = str(given.pop(COUNTED))
+            detector = None if counted == ALL_DETECTORS else counted
+            recorded = recorded.with_overrides({COUNTED: ALL_DETECTORS})
+        return cls(name, scene, _words(given) or file.path.name, recorded, Cut(mask_mm, detector))
 
 
 def _words(values: Mapping[str, Value]) -> str:
@@ -237,13 +270,22 @@ def _words(values: Mapping[str, Value]) -> str:
     )
 
 
+class _Answer(NamedTuple):
+    """Eta at a point, and its error."""
+
+    eta: float
+    sigma: float
+    #: (batches,) eta by each; None of a point that was simulated on its own.
+    batches: NDArray[np.float64] | None
+
+
 #: Values of a configuration's parameters, and coefficients there.
 _Place = tuple[tuple[Value, ...], Coefficients]
 
 
 def _answer_all(
     file: SceneFile, grid: TableGrid, run: Run
-) -> tuple[dict[_Place, tuple[float, float]], list[EtaRun | SimulationResult], list[str]]:
+) -> tuple[dict[_Place, _Answer], list[EtaRun | SimulationResult], list[str]]:
     """Eta and its error at all places, what was simulated for them, and notes.
 
     From photon records, of all configurations together, where these tell enough; else a point is
@@ -260,21 +302,22 @@ def _answer_all(
         key: _Configuration.of(file, dict(zip(grid.outer, key, strict=True)), cuts_masks=cuts_masks)
         for key in dict.fromkeys(grid.configurations)
     }
-    answers: dict[_Place, tuple[float, float]] = {}
+    answers: dict[_Place, _Answer] = {}
     work: list[EtaRun | SimulationResult] = []
     for words, group in groups.items():
         if group:
             surfaces, runs = _record(benches.values(), words, group, run)
             work += runs
             for (key, bench), point in itertools.product(benches.items(), group):
-                surface = surfaces[bench.recorded.content_hash, bench.mask_mm]
+                surface = surfaces[bench.recorded.content_hash, bench.cut]
                 if (answer := surface.answer(point)) is not None:
-                    answers[key, point] = answer.eta, answer.sigma
+                    batches = surface.batches([point])[:, 0]
+                    answers[key, point] = _Answer(answer.eta, answer.sigma, batches)
     notes = [note for behind in work for note in behind.notes]
     for (key, bench), point in itertools.product(benches.items(), points):
         if (key, point) not in answers:
             result = _simulate(bench.scene, bench.name, point, run)
-            answers[key, point] = result.eta, result.eta_sigma
+            answers[key, point] = _Answer(result.eta, result.eta_sigma, None)
             work.append(result)
             a_s, a_a = point
             place = f"{bench.name}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
@@ -284,16 +327,16 @@ def _answer_all(
 
 def _record(
     benches: Iterable[_Configuration], words: str, points: Sequence[Coefficients], run: Run
-) -> tuple[dict[tuple[str, float | None], EtaSurface], list[EtaRun]]:
-    """Surfaces by scene and mask, and what was simulated for them; `words` follow a bench's name.
+) -> tuple[dict[tuple[str, Cut], EtaSurface], list[EtaRun]]:
+    """Surfaces by scene and cut, and what was simulated for them; `words` follow a bench's name.
 
-    Masks that one scene is asked for are answered by the same photons.
+    Masks and detectors that one scene is asked for are answered by the same photons.
     """
     scenes: dict[str, _Configuration] = {}
-    masks: dict[str, dict[float | None, None]] = {}
+    cuts: dict[str, dict[Cut, None]] = {}
     for bench in benches:
         scenes.setdefault(bench.recorded.content_hash, bench)
-        masks.setdefault(bench.recorded.content_hash, {})[bench.mask_mm] = None
+        cuts.setdefault(bench.recorded.content_hash, {})[bench.cut] = None
     recorded = record_surfaces(
         [
             EtaRequest(
@@ -301,16 +344,16 @@ def _record(
                 bench.recorded,
                 points,
                 run,
-                masks_mm=tuple(masks[scene]),
+                cuts=tuple(cuts[scene]),
             )
             for scene, bench in scenes.items()
         ]
     )
     runs = [behind for _, behind in recorded]
     surfaces = {
-        (scene, mask_mm): surface
+        (scene, cut): surface
         for scene, behind in zip(scenes, runs, strict=True)
-        for mask_mm, surface in zip(masks[scene], behind.surfaces, strict=True)
+        for cut, surface in zip(cuts[scene], behind.surfaces, strict=True)
     }
     return surfaces, runs
 

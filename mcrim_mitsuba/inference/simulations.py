@@ -23,6 +23,7 @@ from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
 from mcrim_mitsuba.effects.effect import WRONG, Effect
 from mcrim_mitsuba.effects.scene_edits import GAP, HEIGHT, WIDTH
+from mcrim_mitsuba.efficiency.attenuation import SOURCE_WIDTH, SOURCE_Z
 from mcrim_mitsuba.efficiency.eta_grid import APERTURE, WINDOW
 from mcrim_mitsuba.efficiency.proposals import Beyond
 from mcrim_mitsuba.efficiency.response_maker import (
@@ -529,7 +530,17 @@ def buildable(campaign: Campaign) -> list[dict[str, Value]]:
         found += _combinations({GAP_INDEX: ends if couplings else [], name: others})
     named = {GAP_INDEX, *campaign.measurements.columns}
     found = [{n: v for n, v in each.items() if n in named or v != scene[n]} for each in found]
+    found = [each for each in found if _lit({**scene, **each})]
     return [each for place, each in enumerate(found) if each and each not in found[:place]]
+
+
+def _lit(scene: Mapping[str, Value]) -> bool:
+    """Whether the slab in which light is born lies in a crystal of these parameters."""
+    names = (HEIGHT, SOURCE_Z, SOURCE_WIDTH)
+    if not all(name in scene for name in names):
+        return True
+    height, middle, width = (float(scene[name]) for name in names)
+    return -width / 2.0 < middle < height + width / 2.0
 
 
 def _combinations(axes: Mapping[str, Sequence[float]]) -> list[dict[str, Value]]:

@@ -6,12 +6,12 @@ a text with the number behind it and its error; a `Column` says what it shows of
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcrim_mitsuba.core.numbers import titled
+from mcrim_mitsuba.core.numbers import said, titled
 from mcrim_mitsuba.core.rounding import counted, p_equals, pdg
 from mcrim_mitsuba.output.description import (
     Cell,
@@ -28,6 +28,7 @@ from mcrim_mitsuba.output.description import (
 )
 
 if TYPE_CHECKING:
+    from mcrim_mitsuba.efficiency.attenuation import Attenuation
     from mcrim_mitsuba.efficiency.lighting import Spread
     from mcrim_mitsuba.output import scene_results as results
 
@@ -72,6 +73,10 @@ def of_simulation(result: results.LightResult) -> Description:
     return described(
         "light collection efficiency",
         f"eta = {pdg(result.eta, result.eta_sigma)}   ({work}, {result.transport})",
+        ", ".join(
+            f"{name}: {pdg(eta, result.eta_by_detector_sigma[name])}"
+            for name, eta in result.eta_by_detector.items()
+        ),
         table("where the light ends", columns, fates),
         notes=result.notes,
     )
@@ -208,6 +213,24 @@ def _first_photons(times: results.TimesResult) -> Table:
     return table(f"first of {times.detected:,} detected photons", columns, rows)
 
 
+def _lengths(fits: Sequence[Attenuation]) -> Table:
+    """Attenuation lengths, and where in the table, if it has more axes than the place."""
+    where = Column(
+        "where", of=lambda fit: ", ".join(map(said, *zip(*fit.parameters.items(), strict=True)))
+    )
+    columns = (
+        Column("light", of="light"),
+        *([where] if fits[0].parameters else []),
+        Column("length (mm)", "length_mm", "±"),
+        Column(
+            "largest departure (%)",
+            "departure_percent",
+            of=lambda fit: shown(100.0 * fit.departure, ".2g"),
+        ),
+    )
+    return records("attenuation lengths, along z", columns, fits)
+
+
 def of_table(tabulated: results.TableResult, *, written: str | None = None) -> Description:
     """The points of a table and what it took, or that alone if it was written to a file."""
 
@@ -223,6 +246,7 @@ def of_table(tabulated: results.TableResult, *, written: str | None = None) -> D
     return described(
         "table of the light collection efficiency",
         None if written else records("", (*map(axis, tabulated.axes), eta), tabulated.rows),
+        _lengths(tabulated.attenuation) if tabulated.attenuation else None,
         spent=f"{tabulated.eta.size} points{f' written to {written}' if written else ''}: "
         f"{photons if tabulated.photons else 'no photons'}, {tabulated.seconds:.1f} s, errors up "
         f"to {100 * tabulated.largest_relative_sigma:.2g} %",

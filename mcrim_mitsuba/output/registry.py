@@ -91,8 +91,8 @@ PRESENTERS = {
             "arrival": lambda light: light_figures.draw_arrival(light.lights),
             "fates": lambda light: light_figures.draw_fates(light.lights),
         },
-        names="eta eta_sigma photons cached_photons seed seconds photons_per_second budget "
-        "budget_sigma parameters versions scene_hash polarization transport "
+        names="eta eta_sigma **of_detectors photons cached_photons seed seconds photons_per_second "
+        "budget budget_sigma parameters versions scene_hash polarization transport "
         "photons_requested=requested interrupted notes",
     ),
     "MapResult": Presenter(
@@ -121,7 +121,8 @@ PRESENTERS = {
         kind="table",
         describe=describe_scene.of_table,
         figures={"eta": light_figures.draw_table},
-        names="rows photons cached_photons seed seconds parameters scene_hash notes",
+        names="rows **of_attenuation photons cached_photons seed seconds parameters scene_hash "
+        "notes",
     ),
     "CheckResult": Presenter(
         kind="check",

@@ -16,6 +16,7 @@ from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import said
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
+from mcrim_mitsuba.efficiency.attenuation import Attenuation
 from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
 from mcrim_mitsuba.efficiency.lighting import EtaMap, Light, Spread, follow_light
 from mcrim_mitsuba.efficiency.table import EtaTable
@@ -40,6 +41,12 @@ class LightResult(Result, SimulationResult):
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "simulation": None}
+
+    @property
+    def of_detectors(self) -> dict[str, dict[str, float]]:
+        """What `--json` writes of several detectors; empty where there is one."""
+        names = ("eta_by_detector", "eta_by_detector_sigma")
+        return {name: getattr(self, name) for name in names if self.eta_by_detector}
 
     @property
     def pictures(self) -> tuple[str, ...]:
@@ -96,6 +103,11 @@ class TableResult(Result, EtaTable):
 
     #: Wall time.
     seconds: float
+
+    @property
+    def of_attenuation(self) -> dict[str, tuple[Attenuation, ...]]:
+        """What `--json` writes of attenuation lengths; empty where none were fitted."""
+        return {"attenuation": self.attenuation} if self.attenuation else {}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

@@ -9,8 +9,14 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import LARGEST_INDEX, judge, parse_number
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.numbers import (
+    ALL_DETECTORS,
+    COUNTED,
+    LARGEST_INDEX,
+    judge,
+    parse_number,
+)
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.xml_tree import Node, misled, misspelt
 
@@ -151,6 +157,7 @@ def problems_of_text(file: SceneFile) -> list[SceneProblem]:
     # what a misspelt word was to say would be found missing
     return _problems_of_words(file) or [
         *_problems_of_parameters(file),
+        *problems_of_counted(file),
         *_problems_of_rotations(file),
         *_problems_of_faces(file),
     ]
@@ -177,6 +184,26 @@ def _problems_of_parameters(file: SceneFile) -> list[SceneProblem]:
             if name in file.overrides:
                 what, place = f"the value given for {name} is {value:g}", (file.path, None)
             problems.append(SceneProblem(kind, f"{what}: {text}", mend, *place))
+    return problems
+
+
+def detectors_of(file: SceneFile) -> list[str]:
+    """Ids of the shapes that wear a photodetector."""
+    parts = file.parts
+    wear = (s for s in parts.shapes if any(b.type == "photodetector" for b in parts.worn_by(s)))
+    return [shape.get("id", "") for shape in wear]
+
+
+def problems_of_counted(file: SceneFile) -> list[SceneProblem]:
+    """An integrator that is to count a detector which there is not."""
+    problems = []
+    for integrator in file.root.iter("integrator"):
+        counted = integrator.named(COUNTED)
+        names = [ALL_DETECTORS, *detectors_of(file)]
+        if counted is not None and (name := counted.get("value", "")) not in names:
+            text = f"{COUNTED} = {name!r} is the id of no shape that wears a photodetector"
+            place = (file.path, None) if file.overrides else file.place_of(counted)
+            problems.append(SceneProblem("detector", text, did_you_mean(name, names), *place))
     return problems
 
 

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 from lxml import etree
 
-from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.numbers import COUNTED, Value
 from mcrim_mitsuba.scene.check_text import indices_of, is_filled
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -105,6 +105,8 @@ def spectrophotometer_of(bench: SceneFile) -> SceneFile:
     kept = {crystal, editor.emitter, *faces, *worn}
     others = [node for node in editor.root.elements if node.tag in ("bsdf", "medium", "shape")]
     others = [node for node in others if node not in kept]
+    # the beam has one detector
+    others += [c for i in editor.root.iter("integrator") if (c := i.named(COUNTED)) is not None]
     gone = {inner for node in (*others, editor.emitter) for inner in node.iter()}
     remaining = (node for node in editor.root.iter(etree.Element) if node not in gone)
     words = (word for node in remaining for word in node.attrib.values())

@@ -81,8 +81,9 @@ class DetectorPlane:
 
 
 def detector_plane(model: SceneModel) -> DetectorPlane:
-    """The plane of the detecting faces; InputError if they are curved or lie in several."""
-    numbers = [i for i, s in enumerate(model.surfaces) if s.kind == DETECTOR]
+    """The plane of the faces that eta counts; InputError if they are curved or lie in several."""
+    detectors = [(i, s.detector) for i, s in enumerate(model.surfaces) if s.kind == DETECTOR]
+    numbers = [i for i, detector in detectors if model.counted in (None, detector)]
     faces = [face for face in model.flat_faces if face.surface in numbers]
     corners = [face.corners for face in faces]
     flat = bool(faces) and not set(numbers) & set(model.curved)
@@ -92,7 +93,10 @@ def detector_plane(model: SceneModel) -> DetectorPlane:
         flat = np.ptp(heights) <= _FLAT * model.size_mm
     if not flat:
         problem = "the detector does not lie in one plane, so that no map shows where light arrives"
-        raise InputError(problem, "make the detecting faces one flat face")
+        mend = "make the detecting faces one flat face"
+        if len(numbers) > 1:
+            mend += f", or count the light of one: the integrator's detector = {model.detectors[0]}"
+        raise InputError(problem, mend)
     # along the scene's x where the plane has it
     along = np.eye(3)[0 if abs(normal[0]) < 0.9 else 1]
     x_axis = along - (along @ normal) * normal

@@ -152,18 +152,26 @@ EVEN_BELOW = 1e-6
 LEAST_DEPTH = 2.0**-20
 
 
+#: The middle above the volume's bottom, and the thickness, of no slab.
+NO_SLAB_MM = (0.0, np.inf)
+
+
 class CrystalVolume:
     """The volume inside the shapes that border a medium.
 
     A parallelepiped of flat faces is sampled directly (where births fall with depth, one with two
-    horizontal edges), and so is a cylinder (where births fall, along its axis); any other closed
+    horizontal edges), and so is a cylinder (where births fall, along its axis; in a slab, one that
+    stands); any other closed
     solid by rejection from its bounding box. A point is inside a convex solid when it is on the
     inner side of all its planes and of its round wall, and inside another solid when the first face
     that it sees has the medium on the near side.
 
     `volume` is the medium's index among ``model.volumes``. Births fall with the depth below the
     top, or with the distance from the side of the lowest x, as exp(-depth / ``source_depth_mm``, or
-    ``side_depth_mm``); infinite: evenly. One of the two at most is finite.
+    ``side_depth_mm``); infinite: evenly. One of the two at most is finite. They may be in a slab
+    alone, which is told by the height of its middle above the bottom and its thickness.
+
+    Raises InputError if the slab lies outside of the volume, or if births fall along its thickness.
     """
 
     #: Unit direction of all photons at birth; ``None``: any direction.
@@ -175,6 +183,7 @@ class CrystalVolume:
         volume: int,
         source_depth_mm: float = np.inf,
         side_depth_mm: float = np.inf,
+        slab_mm: tuple[float, float] = NO_SLAB_MM,
     ) -> None:
         self.model, self.volume = model, volume
         #: Index of the volume that photons are in at birth.
@@ -185,6 +194,9 @@ class CrystalVolume:
         owned = model.bordering(volume)
         #: Bounding box, float64, shape (3,), mm.
         self.lower, self.upper = model.bounds(volume)
+        #: That of the births, likewise.
+        self.born_lower, self.born_upper = self.lower.copy(), self.upper.copy()
+        self._limit_to_slab(*slab_mm)
         # the height, or width, in depths, which is all that the distribution of depths needs
         length_mm = float(self.upper[self._axis] - self.lower[self._axis])
         steepness = length_mm / min(source_depth_mm, side_depth_mm)
@@ -197,20 +209,46 @@ class CrystalVolume:
         self.frame = _parallelepiped([f for f in model.faces or () if f.surface in owned])
         if self.frame is not None and self._steepness:
             self.frame = _along(self._axis, self.frame)
+        if self.frame is not None and self.in_slab:
+            self.frame = _between(self.born_lower[2], self.born_upper[2], self.frame)
         if model.faces is not None and self.frame is None:
             self._solid = next((s for s in convex_solids(model) if s.volume == volume), None)
         if self.frame is not None:
             self._corner, *self._edges = map(opaque_vector, self.frame)
         #: The circle around a cylinder, if its births are sampled directly.
         self.circle = None if self._solid is None else self._solid.circle
-        if self.circle is not None and self._steepness and self.circle.axis != self._axis:
-            self.circle = None
+        if self.circle is not None:
+            axes = {self._axis} if self._steepness else set()
+            if (axes | ({2} if self.in_slab else set())) - {self.circle.axis}:
+                self.circle = None
         if self.circle is not None:
             middle = (self.lower + self.upper) / 2.0
-            middle[self.circle.axis] = self.lower[self.circle.axis]
+            middle[self.circle.axis] = self.born_lower[self.circle.axis]
             self._corner = opaque_vector(middle)
             self._radius = opaque([self.circle.radius_mm])
-            self._length = opaque([(self.upper - self.lower)[self.circle.axis]])
+            self._length = opaque([(self.born_upper - self.born_lower)[self.circle.axis]])
+
+    @property
+    def in_slab(self) -> bool:
+        """Whether light is born in a slab alone."""
+        return bool(self.born_upper[2] - self.born_lower[2] < self.upper[2] - self.lower[2])
+
+    def _limit_to_slab(self, middle_mm: float, width_mm: float) -> None:
+        """Let light be born in a slab alone, unless that covers the volume."""
+        height_mm = float(self.upper[2] - self.lower[2])
+        low, high = middle_mm - width_mm / 2.0, middle_mm + width_mm / 2.0
+        rounding = 1e-6 * height_mm
+        if low <= rounding and high >= height_mm - rounding:
+            return
+        if high <= rounding or low >= height_mm - rounding:
+            problem = f"light is born from {low:g} to {high:g} mm above the crystal's bottom"
+            mend = f"give source_z_mm and source_width_mm a slab within 0 to {height_mm:g} mm"
+            raise InputError(f"{problem}, outside of it", mend)
+        if self.source_depth_mm < np.inf:
+            problem = "light is born in a slab and falls with the depth below the top"
+            raise InputError(problem, "give source_z_mm or source_depth_mm")
+        self.born_lower[2] = self.lower[2] + max(low, 0.0)
+        self.born_upper[2] = self.lower[2] + min(high, height_mm)
 
     @property
     def scatters(self) -> bool:
@@ -277,7 +315,8 @@ class CrystalVolume:
 
     def _searched(self, rng, count: int):
         """Births (Point3f, mm) and the rounds they took (UInt32), `MOST_ROUNDS` where in vain."""
-        lower, extent = opaque_vector(self.lower), opaque_vector(self.upper - self.lower)
+        lower = opaque_vector(self.born_lower)
+        extent = opaque_vector(self.born_upper - self.born_lower)
         inside = self._sees_itself() if self._solid is None else self._solid.test()
 
         def body(point, searching, rng, rounds):
@@ -418,6 +457,22 @@ def _along(axis: int, frame):
     corner, *edges = frame
     edges.sort(key=lambda edge: abs(edge[axis]))
     return None if abs(edges[1][axis]) > 1e-6 * np.abs(edges).max() else (corner, *edges)
+
+
+def _between(low_mm: float, high_mm: float, frame):
+    """The part of a parallelepiped between two levels, its edges in their order.
+
+    ``None`` if more than one edge rises.
+    """
+    corner, *edges = frame
+    rises = [abs(edge[2]) > 1e-6 * np.abs(edges).max() for edge in edges]
+    if sum(rises) != 1:
+        return None
+    up = rises.index(True)
+    ends = [corner + edges[up] * ((z - corner[2]) / edges[up][2]) for z in (low_mm, high_mm)]
+    start, end = ends if edges[up][2] > 0.0 else reversed(ends)
+    edges[up] = end - start
+    return (start, *edges)
 
 
 def _parallelepiped(faces):

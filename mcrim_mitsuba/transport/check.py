@@ -207,6 +207,8 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
             slanted = f" within {surface.acceptance_deg:.4g} degrees of its normal"
             detectors.append(surface.name + (slanted if surface.acceptance_deg < 90.0 else ""))
     sentences.append(f"detected is what reaches {' or '.join(detectors)}")
+    if model.counted is not None:
+        sentences.append(f"eta is that of {model.detectors[model.counted]} alone")
     for surface in model.surfaces:
         sentences += _surface_sentences(surface)
     sentences += [
@@ -301,6 +303,9 @@ def _emission(crystal: CrystalVolume) -> str:
         where = f"falling to 1/e every {crystal.source_depth_mm:g} mm below its top"
     if np.isfinite(crystal.side_depth_mm):
         where = f"falling to 1/e every {crystal.side_depth_mm:g} mm from its side of the lowest x"
+    if crystal.in_slab:
+        levels = (crystal.born_lower[2], crystal.born_upper[2]) - crystal.lower[2]
+        where += ", from {:.5g} to {:.5g} mm above its bottom only".format(*levels)
     return f"photons are born in it, {where} and in all directions"
 
 

@@ -27,6 +27,7 @@ from mcrim_mitsuba.transport.launch_plan import (
     FateTally,
     PhotonRecords,
     ScatteringProposals,
+    detected_by,
     plan_lanes,
 )
 from mcrim_mitsuba.transport.record_store import TrailStore
@@ -63,6 +64,14 @@ def choose_path(
     return GeneralPath(model, polarization, trace_all=general)
 
 
+def empty_tally(model: SceneModel) -> FateTally:
+    """What photons of a scene are tallied in; eta is what its integrator counts."""
+    counted = "detected"
+    if model.counted is not None and len(model.detectors) > 1:
+        counted = detected_by(model.detectors[model.counted])
+    return FateTally(head_on=model.head_on, counted=counted)
+
+
 class Launcher:
     """Launches photons into a crystal's scene; without `fold` they fly to every reflection."""
 
@@ -80,7 +89,7 @@ class Launcher:
         #: As `choose_path` chooses.
         self.path = choose_path(crystal.model, polarization, general, volume)
         #: Of all launches so far.
-        self.tally = FateTally(head_on=crystal.model.head_on)
+        self.tally = empty_tally(crystal.model)
 
     @property
     def size(self) -> int:

@@ -15,8 +15,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.numbers import ALL_DETECTORS, ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
 from mcrim_mitsuba.transport.scene_model import (
     DETECTOR,
     DIELECTRIC,
@@ -127,6 +127,9 @@ def read_scene_model(scene) -> SceneModel:
     if len({(s.film, s.head_on) for s in surfaces if s.kind == DETECTOR}) > 1:
         problem = "the detectors differ in what they take of light that arrives head-on"
         raise InputError(problem, "let all have the same cathode_nm and angular_falloff")
+    detectors = [number for number, s in enumerate(surfaces) if s.kind == DETECTOR]
+    for detector, number in enumerate(detectors):
+        surfaces[number] = replace(surfaces[number], detector=detector)
     size = float(max(np.abs(np.array(box.min)).max(), np.abs(np.array(box.max)).max()))
     return SceneModel(
         scene,
@@ -137,7 +140,17 @@ def read_scene_model(scene) -> SceneModel:
         tuple(curved),
         size,
         tuple(walls),
+        _counted(scene, [surfaces[number].name for number in detectors]),
     )
+
+
+def _counted(scene, detectors: list[str]) -> int | None:
+    """Number of the detector that the integrator counts; ``None`` for all."""
+    name = getattr(scene.integrator(), "detector", ALL_DETECTORS)
+    if name != ALL_DETECTORS and name not in detectors:
+        problem = f"no shape that wears a photodetector has the id {name!r}"
+        raise InputError(problem, did_you_mean(name, [ALL_DETECTORS, *detectors]))
+    return None if name == ALL_DETECTORS else detectors.index(name)
 
 
 def _let_wrappings_touch(scene, surfaces, shapes, faces, walls, volumes) -> None:

@@ -100,6 +100,15 @@ def plan_lanes(
     )
 
 
+#: What begins the name of the light that one of several detectors took.
+_BY_DETECTOR = "detected by "
+
+
+def detected_by(detector: str) -> str:
+    """Name of the light that one of several detectors took, among the sums of a tally."""
+    return f"{_BY_DETECTOR}{detector}"
+
+
 @dataclass
 class FateTally:
     """Weights per fate, accumulated over launches; tallies can be merged.
@@ -111,12 +120,14 @@ class FateTally:
 
     photons: int = 0
     batches: int = 0
-    #: Weight that met each fate.
+    #: Weight that met each fate, and what each of several detectors took (`detected_by`).
     sums: dict[str, float] = field(default_factory=dict)
     #: Sum over batches of (weight in the batch)^2 / (photons of the batch).
     squares: dict[str, float] = field(default_factory=dict)
     #: What the detector detects of light that arrives head-on, with which it was calibrated.
     head_on: float = 1.0
+    #: Of the sums, that which is eta.
+    counted: str = "detected"
 
     def add(self, photons_per_batch: np.ndarray, weights: dict[str, np.ndarray]) -> None:
         """Take in one launch: photons (int) and weights per fate (float64) of its batches."""
@@ -151,22 +162,34 @@ class FateTally:
     @property
     def budget(self) -> dict[str, float]:
         """`fraction` of every fate."""
-        return {name: self.fraction(name) for name in self.sums}
+        return {n: self.fraction(n) for n in self.sums if not n.startswith(_BY_DETECTOR)}
 
     @property
     def budget_sigma(self) -> dict[str, float]:
         """`sigma` of every fate."""
-        return {name: self.sigma(name) for name in self.sums}
+        return {name: self.sigma(name) for name in self.budget}
+
+    @property
+    def by_detector(self) -> dict[str, tuple[float, float]]:
+        """Eta of each of several detectors, and its standard error."""
+        return {
+            name.removeprefix(_BY_DETECTOR): (
+                self.fraction(name) / self.head_on,
+                self.sigma(name) / self.head_on,
+            )
+            for name in self.sums
+            if name.startswith(_BY_DETECTOR)
+        }
 
     @property
     def eta(self) -> float:
-        """Light collection efficiency: what is detected, over what is of light head-on."""
-        return self.fraction("detected") / self.head_on
+        """Light collection efficiency: what is counted, over what is of light head-on."""
+        return self.fraction(self.counted) / self.head_on
 
     @property
     def eta_sigma(self) -> float:
         """Its standard error."""
-        return self.sigma("detected") / self.head_on
+        return self.sigma(self.counted) / self.head_on
 
     def reaches(self, precision: float | None) -> bool:
         """Whether eta is known to a relative standard error; none is never reached."""

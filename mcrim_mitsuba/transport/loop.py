@@ -23,7 +23,7 @@ from mcrim_mitsuba.transport.bulk import CrystalVolume, Scattering, lane_generat
 from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
 from mcrim_mitsuba.transport.convex import NO_FACE
 from mcrim_mitsuba.transport.dielectric import resumed, unpolarised_field
-from mcrim_mitsuba.transport.launch_plan import LanePlan, ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import LanePlan, ScatteringProposals, detected_by
 from mcrim_mitsuba.transport.record_store import RecordStore
 from mcrim_mitsuba.transport.scene_model import DIFFUSE, OUTSIDE
 
@@ -62,6 +62,7 @@ class Photon:
     state: mi.UInt64  #: of its random numbers, which start anew for every photon
     fates: dict  #: weight that met each frequent fate, all photons of the lane so far
     absorbed: dict  #: weight absorbed in each volume that absorbs, likewise
+    detected: dict  #: weight that each of several detectors took, by number, likewise
 
 
 @dataclass
@@ -93,8 +94,8 @@ class Launch:
 
     #: ndarray of int64, shape (batches,)
     photons_per_batch: np.ndarray
-    #: dict of str to ndarray of float64, shape (batches,): Per fate, the weight summed over the
-    #: photons of each batch.
+    #: dict of str to ndarray of float64, shape (batches,): Per fate, and per detector where there
+    #: are several (`launch_plan.detected_by`), the weight summed over the photons of each batch.
     weights: dict[str, np.ndarray]
     #: dict of str to ndarray: Of the detected photons, see `RecordStore.collected`; empty where no
     #: records were asked for.
@@ -122,9 +123,9 @@ class Loop:
 
     `seed` and `number`, of the run and of this launch within it, together fix the random numbers.
     After `max_depth` free flights a photon is truncated. Coefficients of the crystal may be
-    `proposals` in place of the scene's, shared out by the plan. With `columns` the detected
-    photons' histories are returned, these besides scatterings, path, weight and batch (see
-    `RecordStore`); what is not asked for costs nothing.
+    `proposals` in place of the scene's, shared out by the plan. With `columns` the histories
+    of the photons that eta counts are returned, these besides scatterings, path, weight and batch
+    (see `RecordStore`); what is not asked for costs nothing.
 
     With a `tangent` the detected weight is also differentiated, by Dr.Jit's forward mode, along
     this change of volumes' scattering and absorption, 1/mm per unit of whatever varies: photons'
@@ -169,6 +170,9 @@ class Loop:
             dr.eval(self._births)
             self._last_slot = opaque([photons - 1], mi.UInt32)
         self._frequent = _frequent_fates(path)
+        detectors = len(path.model.detectors)
+        self._detectors = range(detectors if detectors > 1 else 0)
+        self._counted = path.model.counted if self._detectors else None
         # Rare fates are added to memory; registers are kept for what happens all the time.
         self._rare = {code: dr.zeros(mi.Float, lanes) for code in (physics.TRUNCATED, physics.LOST)}
         # Scattering and absorption (1/mm) of the volumes that have them, by their number.
@@ -218,6 +222,7 @@ class Loop:
             state=self._seeds.state(zero),
             fates={code: dr.zeros(mi.Float, lanes) for code in self._frequent},
             absorbed={number: dr.zeros(mi.Float, lanes) for number in self._absorb},
+            detected={number: dr.zeros(mi.Float, lanes) for number in self._detectors},
         )
 
     def step(self, p: Photon) -> Photon:
@@ -310,6 +315,10 @@ class Loop:
         if path.surfaces_may_absorb:
             fates[physics.SURFACE] += w - dimmed
         w = dimmed
+        detected = {
+            number: total + dr.select(self._taken(fate, outcome, number), w, 0.0)
+            for number, total in p.detected.items()
+        }
         for code, totals in self._rare.items():
             dr.scatter_add(totals, dr.detach(w), self._lane, fate == code)
 
@@ -367,14 +376,21 @@ class Loop:
             state=dr.select(ended, self._seeds.state(serial), rng.state),
             fates=fates,
             absorbed=absorbed,
+            detected=detected,
         )
+
+    @staticmethod
+    def _taken(fate, outcome, detector: int | None):
+        """Whether photons (Mask) are detected: by the detector of this number; ``None``: by any."""
+        detected = fate == physics.DETECTED
+        return detected if detector is None else detected & (outcome.detector == detector)
 
     def _write(self, s: Step):
         """Records and trails, where they are wanted; what is known of the flights from now on."""
         p, history, slot = s.p, s.p.history, self._first_slot + s.p.serial
         if self.store is not None:
             history = self.store.grown(history, s)
-            detected = (s.fate == physics.DETECTED) & (p.left > 0)
+            detected = self._taken(s.fate, s.outcome, self._counted) & (p.left > 0)
             self.store.put(slot, detected, s, history, lambda: self._birthplace(p.serial))
             history = dr.select(s.ended, self.store.nothing(), history)
         if self.trails is not None:
@@ -402,10 +418,11 @@ class Loop:
             ]
             dr.enqueue(dr.ADMode.Forward, varied)
             dr.traverse(dr.ADMode.Forward)
-            slope = dr.grad(final.fates[physics.DETECTED])
+            every = final.fates[physics.DETECTED]
+            slope = dr.grad(every if self._counted is None else final.detected[self._counted])
         totals = final.fates | self._rare
         tables = [store.tables for store in (self.store, self.trails) if store is not None]
-        dr.eval(totals, final.absorbed, slope, tables)
+        dr.eval(totals, final.absorbed, final.detected, slope, tables)
 
         def per_batch(total):
             lanes = np.zeros(self.plan.lanes) if total is None else np.array(total, dtype=float)
@@ -415,6 +432,8 @@ class Loop:
         for number, name in enumerate(self.path.model.volume_names):
             if number != OUTSIDE:
                 weights[f"absorbed_{name}"] = per_batch(final.absorbed.get(number))
+        for number, total in final.detected.items():
+            weights[detected_by(self.path.model.detectors[number])] = per_batch(total)
         return Launch(
             self.plan.per_batch(self.plan.photons).astype(np.int64),
             weights,

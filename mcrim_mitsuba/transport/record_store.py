@@ -138,6 +138,14 @@ COLUMNS = {
 }
 
 
+#: What scenes of several detectors can give: the number of that which took the photon.
+OF_DETECTORS = {
+    "detector": Recorded(
+        np.uint8, arrival=lambda step, birth: dr.reinterpret_array(mi.Float, step.outcome.detector)
+    )
+}
+
+
 def _path_in(volume: int) -> Recorded:
     """Path in a volume that does not emit, cm: that of light outside all others, too."""
 
@@ -163,7 +171,8 @@ class RecordStore:
     def __init__(self, emitter: CrystalVolume, photons: int, columns: Sequence[str]) -> None:
         volumes = emitter.model.volumes
         others = [n for n in range(len(volumes)) if n != emitter.volume]
-        available = COLUMNS | {f"path_{volumes[n].name}_cm": _path_in(n) for n in others}
+        several = OF_DETECTORS if len(emitter.model.detectors) > 1 else {}
+        available = COLUMNS | several | {f"path_{volumes[n].name}_cm": _path_in(n) for n in others}
         for name in columns:
             if name not in available:
                 problem = f"photon records have no column {name!r}"

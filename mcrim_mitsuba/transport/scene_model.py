@@ -106,6 +106,8 @@ class Surface:
     #: a and b of a detector's acceptance (1 - a (1 - cos)) (1 - b r^2), over 1 - a if a < 0.
     angular_falloff: float = 0.0
     radial_falloff_per_mm2: float = 0.0
+    #: Number of a detector among the scene's, from 0.
+    detector: int = 0
     #: Of a surface of kind `OTHER`: Mitsuba's name for its BSDF.
     plugin: str = ""
 
@@ -288,6 +290,8 @@ class SceneModel:
     size_mm: float
     #: Surfaces that are upright round walls.
     walls: tuple[RoundWall, ...] = ()
+    #: Number of the detector whose light alone is eta; None: that of all is.
+    counted: int | None = None
 
     @functools.cached_property
     def geometry(self) -> Hashable:
@@ -348,6 +352,11 @@ class SceneModel:
     def head_on(self) -> float:
         """What its detectors, all alike, detect of light that arrives head-on."""
         return next((s.head_on for s in self.surfaces if s.kind == DETECTOR), 1.0)
+
+    @property
+    def detectors(self) -> list[str]:
+        """Names of the detectors, by number."""
+        return [surface.name for surface in self.surfaces if surface.kind == DETECTOR]
 
     def bordering(self, volume: int) -> list[int]:
         """Indices of the surfaces that border a volume."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -55,6 +55,10 @@ class SimulationResult(Provenance):
     polarization: bool
     #: Which path of the transport was taken.
     transport: str
+    #: Eta of each of several detectors by the id of its shape; empty where there is one. Their sum
+    #: is eta, unless the integrator counts one of them alone.
+    eta_by_detector: dict[str, float] = field(default_factory=dict)
+    eta_by_detector_sigma: dict[str, float] = field(default_factory=dict)
 
     @property
     def photons_per_second(self) -> float:
@@ -210,6 +214,8 @@ class Simulation:
             interrupted=interrupted,
             eta=tally.eta,
             eta_sigma=tally.eta_sigma,
+            eta_by_detector={name: eta for name, (eta, _) in tally.by_detector.items()},
+            eta_by_detector_sigma={name: error for name, (_, error) in tally.by_detector.items()},
             budget=tally.budget,
             budget_sigma=tally.budget_sigma,
             parameters=dict(self.file.parameters),

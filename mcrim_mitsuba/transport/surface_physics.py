@@ -63,6 +63,7 @@ _COLUMNS: tuple[tuple[Callable[[Surface], Any], dict[str, Callable[[Surface], fl
     (lambda s: s.haze, {"haze": lambda s: s.haze}),
     (lambda s: s.specular, {"specular": lambda s: s.specular}),
     (lambda s: s.mask_reflectance, {"mask_reflectance": lambda s: s.mask_reflectance}),
+    (lambda s: s.detector, {"detector": lambda s: s.detector}),
 )
 
 
@@ -153,6 +154,8 @@ class SurfaceRow:
     least_cosine: Any = None
     specular: Any = None
     mask_reflectance: Any = None
+    #: Number of the detector; ``None`` where there is one only.
+    detector: Any = None
     #: `FilmTerms` of the detectors, the same for all rows.
     film: Any = None
 
@@ -193,6 +196,8 @@ class Outcome:
     from_detector: Any = None
     #: Whether the upper side of a mask did; ``None`` where none ever does.
     from_mask: Any = None
+    #: UInt32: Number of the detector that the surface is; ``None`` where there is one only.
+    detector: Any = None
     #: ``from_axis2_mm2`` of the mask that the face wears; 0 if it wears none, ``None`` if no face
     #: of the scene does.
     mask_radius2_mm2: Any = None
@@ -301,6 +306,7 @@ def interact(
         cosine=light.cosine,
         position=position,
         from_axis2_mm2=dr.square(position.x - row.x) + dr.square(position.y - row.y),
+        detector=None if row.detector is None else mi.UInt32(row.detector),
     )
     for stage in (_reflect, _reflect_off_detector, _refuse, _mask):
         stage(light, outcome)

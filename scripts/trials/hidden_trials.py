@@ -112,6 +112,18 @@ _USUAL = dict(zip(COLUMNS, (1.0, 14.0, 10.0, 0.05), strict=True))
 CALIPER = "\n[tolerances]\n" + "".join(
     f"{name} = 0.05\n" for name in ("crystal_width_mm", "crystal_height_mm", "aperture_radius_mm")
 )
+#: What it says elsewhere: lengths by a micrometer, gaps by spacers, indices by a refractometer. The
+#: tracer's bench is exact, and the excess that trials are drawn with is what it leaves of that.
+MICROMETER = "\n[tolerances]\n" + "".join(
+    f"{name} = {sigma:g}\n"
+    for sigma, names in {
+        0.01: "crystal_width_mm crystal_height_mm aperture_radius_mm window_thickness_mm",
+        0.05: "window_width_mm",
+        0.002: "gap_mm",
+        0.0005: "n_crystal n_gap n_window",
+    }.items()
+    for name in names.split()
+)
 #: Photons of a reading that is measured on advice: as good as it is promised, the tracer's error
 #: being a fifth of `READING_SIGMA` behind the narrowest mask.
 FURTHER_PHOTONS = 6_000_000
@@ -610,8 +622,8 @@ def run_trial(
     """
     name = f"{trial.kind}-{trial.number}"
     campaign = write_campaign(folder, name, trial.design, trial.signal, trial.sigma, trial.truth)
-    if trial.kind in (NUMBERS, NUMBERS_OUT):
-        write_text(campaign, campaign.read_text(encoding="utf-8") + CALIPER)
+    tolerances = CALIPER if trial.kind in (NUMBERS, NUMBERS_OUT) else MICROMETER
+    write_text(campaign, campaign.read_text(encoding="utf-8") + tolerances)
     start = time.perf_counter()
     without = left_out_of(trial, mcrim.read_campaign(campaign).catalogue)
     said = diagnose_and_repair(campaign, threads, photons, without)

@@ -137,8 +137,12 @@ def face(corner, u, v, surface=0, triangle=False):
 
 
 def model(*faces, curved=()):
-    surfaces = [SimpleNamespace(kind=DETECTOR) for _ in range(1 + max(f.surface for f in faces))]
-    return SimpleNamespace(surfaces=surfaces, flat_faces=faces, curved=curved, size_mm=30.0)
+    count = 1 + max(f.surface for f in faces)
+    surfaces = [SimpleNamespace(kind=DETECTOR, detector=number) for number in range(count)]
+    of_all = {"counted": None, "detectors": [f"detector_{number}" for number in range(count)]}
+    return SimpleNamespace(
+        surfaces=surfaces, flat_faces=faces, curved=curved, size_mm=30.0, **of_all
+    )
 
 
 def test_coordinates_are_the_detectors_own():

@@ -30,6 +30,17 @@ def test_a_sound_bench_has_no_problem(tmp_path):
     assert problems(tmp_path) == []
 
 
+def test_what_is_counted_is_a_detector_of_the_scene(tmp_path):
+    assert check_text.detectors_of(read_scene(SCENES / "plastic_bar.xml")) == ["left", "right"]
+    counted = '<string name="detector" value="detectro"/>'
+    (told,) = problems(tmp_path, ("</integrator>", f"{counted}</integrator>"))
+    assert (
+        "detector = 'detectro' is the id of no shape" in told and "did you mean detector?" in told
+    )
+    file = read_scene(tmp_path / "bench.xml")
+    assert [str(problem) for problem in check_text.problems_of_counted(file)] == [told]
+
+
 AIR = '<float name="ext_ior" value="1.0"/>'
 
 

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT, COEFFICIENTS, MM_PER_CM
+from mcrim_mitsuba.core.numbers import ALL_DETECTORS, ALPHA_SCAT, COEFFICIENTS, MM_PER_CM
 from mcrim_mitsuba.optics.emission_band import USUAL_NM, USUAL_WIDTH_NM, WIDTHS
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.bulk import CollimatedBeam, CrystalVolume, read_crystal
@@ -103,6 +103,10 @@ class BulkMedium(mi.Medium):
 mi.register_medium("bulk", BulkMedium)
 
 
+#: Of a slab in which light is born: below this, places in it are not told apart.
+SLIMMEST_MM = 1e-3
+
+
 class ScintillationEmitter(mi.Emitter):
     """Isotropic, unpolarised emission, uniform in the volume of the crystal or near a face.
 
@@ -114,6 +118,11 @@ class ScintillationEmitter(mi.Emitter):
         Emission falls with the depth below the top of the crystal, as exp(-depth / this).
     ``side_depth_mm`` : float, default infinite
         The same from the side of the lowest x; not beside ``source_depth_mm``.
+    ``source_width_mm`` : float, default infinite
+        Light is born in a slab alone, so thick along z, as of collimated gammas from the side: in
+        what of it lies in the crystal. Not beside ``source_depth_mm``.
+    ``source_z_mm`` : float
+        Height of the middle of that slab above the bottom of the crystal.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -131,6 +140,10 @@ class ScintillationEmitter(mi.Emitter):
             setattr(self, name, depth_mm)
         if max(self.source_depth_mm, self.side_depth_mm) < float("inf"):
             raise ValueError("light is born near the top or near a side; give one depth")
+        self.source_width_mm = number(props, "source_width_mm", math.inf, SLIMMEST_MM, math.inf)
+        if self.source_width_mm < math.inf and "source_z_mm" not in props:
+            raise ValueError("source_width_mm without source_z_mm; give the middle of the slab")
+        self.source_z_mm = float(props.get("source_z_mm", 0.0))
         self.m_flags = +mi.EmitterFlags.Empty
         self.m_needs_sample_2 = True
         self.m_needs_sample_3 = True
@@ -143,7 +156,8 @@ class ScintillationEmitter(mi.Emitter):
         C++, where Python's garbage collector cannot see a cycle.
         """
         number = model.volume_index(self.medium)
-        return CrystalVolume(model, number, self.source_depth_mm, self.side_depth_mm)
+        depths = self.source_depth_mm, self.side_depth_mm
+        return CrystalVolume(model, number, *depths, (self.source_z_mm, self.source_width_mm))
 
     def _among_all_shapes(self) -> CrystalVolume:
         """The crystal's volume, from those of all living shapes that border the medium.
@@ -191,12 +205,13 @@ class ScintillationEmitter(mi.Emitter):
     def bbox(self):
         return mi.ScalarBoundingBox3f()
 
-    traverse, _ = described("source_depth_mm", "side_depth_mm")
+    traverse, _ = described("source_depth_mm", "side_depth_mm", "source_z_mm", "source_width_mm")
 
     def to_string(self) -> str:
         return (
             f"ScintillationEmitter[medium = {self.medium.id()}, "
-            f"source_depth_mm = {self.source_depth_mm}, side_depth_mm = {self.side_depth_mm}]"
+            f"source_depth_mm = {self.source_depth_mm}, side_depth_mm = {self.side_depth_mm}, "
+            f"source_z_mm = {self.source_z_mm}, source_width_mm = {self.source_width_mm}]"
         )
 
 
@@ -250,6 +265,8 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
         light comes out, and 2,000 where it does not: light that is trapped there stays.
     ``polarization`` : boolean, default false
         Whether Fresnel reflection follows each photon's polarisation.
+    ``detector`` : string, default ``all``
+        The id of the detector whose light alone is eta, where there are several.
 
     Attributes
     ----------
@@ -264,6 +281,7 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
         super().__init__(props)
         self.max_depth = int(props["max_depth"]) if "max_depth" in props else None
         self.polarization = bool(props.get("polarization", False))
+        self.detector = str(props.get("detector", ALL_DETECTORS))
         if self.max_depth is not None and self.max_depth < 1:
             raise ValueError(f"max_depth is {self.max_depth}; give at least 1")
         self.tally: FateTally | None = None
@@ -336,7 +354,7 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
     def aov_names(self) -> list[str]:
         return []
 
-    traverse, to_string = described("max_depth", "polarization")
+    traverse, to_string = described("max_depth", "polarization", "detector")
 
 
 mi.register_integrator("light_collection", LightCollectionIntegrator)

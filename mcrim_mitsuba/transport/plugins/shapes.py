@@ -469,6 +469,8 @@ def _hexagon(half, along: int, signs: tuple[float, float], leg: float) -> list[n
 
 #: Distance of a beam's detector behind the crystal: light at any angle still arrives on it.
 BEHIND_MM = 0.005
+#: The same over the crystal's size, at least, so that rays tell the two apart.
+BEHIND_PART = 2.5e-4
 
 
 class BeamDetector(Polygons):
@@ -492,7 +494,7 @@ class BeamDetector(Polygons):
         across, up = (along + 1) % 3, (along + 2) % 3
         # clockwise as seen from beyond, so that the normal points back at the crystal
         corners = np.zeros((4, 3))
-        corners[:, along] = half[along] + BEHIND_MM
+        corners[:, along] = half[along] + max(BEHIND_MM, BEHIND_PART * max(width, height))
         corners[:, across] = half[across] * np.array([-1, -1, 1, 1])
         corners[:, up] = half[up] * np.array([-1, 1, 1, -1])
         corners[:, 2] += half[2]
