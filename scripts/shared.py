@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import mcrim_mitsuba
-from mcrim_mitsuba import reference
+from mcrim_mitsuba import effects, reference
 from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, sha256
@@ -27,10 +27,15 @@ SCENE = SCENES / "camoo4.xml"
 MADE, KEPT, REFUSED, FAILED = "made", "kept", "refused", "failed"
 Row = dict[str, Any]
 _LIMIT_MB = 200
-#: How the bench is told to programs that know no scenes; these programs.
+#: How the bench is told to Geant4, which knows no scenes; programs, and who makes their scenes.
 _BENCH_CODE = Path(bench.__file__)
 _TRACER = Path(reference.__file__).parent.glob("*.py")
-TRACER_CODE = [*(file for file in _TRACER if file.stem != "crosscheck"), _BENCH_CODE]
+_EFFECTS = Path(effects.__file__).parent.glob("*.py")
+TRACER_CODE = [
+    *(file for file in _TRACER if file.stem != "crosscheck"),
+    *_EFFECTS,
+    Path(__file__).with_name("bench_scene.py"),
+]
 GEANT4_CODE = [*Path(__file__).parent.glob("geant4*.py"), _BENCH_CODE]
 
 

@@ -369,11 +369,11 @@ def _abbreviated(values: list[float] | list[str]) -> str:
 @click.command(short_help="Run a scene in Mitsuba and in an independent tracer.")
 @options.scene
 @options.defines
-@options.photons("1e6 in the NumPy tracer, four times as many in Mitsuba")
+@options.photons("1e6 in the independent tracer, four times as many in Mitsuba")
 @options.run
 @options.json_output
 def crosscheck(scene, overrides, run, json_file) -> int:
-    """Run SCENE in Mitsuba and in the independent NumPy tracer and compare every fate."""
+    """Run SCENE in Mitsuba and in the independent tracer and compare every fate."""
     file = mcrim.read_scene(scene, overrides)
     showing.refuse_places(json_file, [file])
     with terminal.photon_progress() as report:

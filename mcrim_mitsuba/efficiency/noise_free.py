@@ -23,7 +23,6 @@ from mcrim_mitsuba.efficiency.table import EtaTable, TableGrid
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
-from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, spectrophotometer_of
 from mcrim_mitsuba.transport.scene_model import DETECTOR, FlatFace, RoundWall, SceneModel
 from mcrim_mitsuba.transport.simulation import SimulationResult, calibration_notes
 
@@ -160,17 +159,6 @@ def _notes(eta: ArrayLike, error: ArrayLike, precision: float | None) -> tuple[s
 
 # The bench that a loaded scene is, told by its parameters.
 
-#: Effects without a parameter, which the tracer switches on by name.
-_SWITCHES = ("rayleigh_scattering", "aperture_at_detector")
-
-
-#: Scenes that are known besides the plain bench, by a parameter that they alone have.
-_BY_PARAMETER = {
-    "wrap_reflectance": "camoo4_wrapped.xml",
-    "crystal_length_mm": "camoo4_cylinder_lying.xml",
-    "crystal_diameter_mm": "camoo4_cylinder.xml",
-}
-
 
 def bench_of(simulation: Simulation) -> Bench:
     """The bench that a loaded scene is.
@@ -178,42 +166,25 @@ def bench_of(simulation: Simulation) -> Bench:
     Raises InputError if the scene has parameters that `Bench` does not know, or is another bench
     than they describe.
     """
-    from mcrim_mitsuba.transport.solid_names import named_form
-
     with placed(path=simulation.file.path):
-        form = named_form(simulation.model, simulation.crystal.volume)
-        if form is not None and not form.startswith(("cylinder", "disc")):
-            problem = f"the independent programs know boxes and cylinders; this is a {form}"
-            raise InputError(problem, "take a crystal of such a form")
-        effects = [e.name for e in catalogue().values() if e.is_in(simulation.file)]
-        switches = {name: True for name in effects if name in _SWITCHES}
-        beam = BEAM_PARAMETERS if _beam_axis(simulation) is not None else {}
-        slopes = {s.beckmann for s in simulation.model.surfaces if s.roughness}
-        if len(slopes) > 1:
-            problem = "the independent programs know one distribution of slopes for all rough faces"
-            raise InputError(problem, "give each polish the same distribution")
-        switches["beckmann"] = slopes == {True}
-        bench = Bench.from_parameters({**beam, **simulation.file.parameters, **switches})
-    _refuse_other_benches(simulation, effects)
+        bench = Bench.from_parameters(simulation.file.parameters)
+    _refuse_other_benches(simulation)
     return bench
 
 
-def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
-    """Refuse a scene that is not the bench which the tracer builds from its parameters.
+def _refuse_other_benches(simulation: Simulation) -> None:
+    """Refuse a scene that is not the bench which its parameters describe.
 
-    The shipped scenes, with effects as `add` puts them there, are what the parameters mean;
-    comparing another scene with the tracer would look like an error of one of the two.
+    The shipped scene, with effects as `add` puts them there, is what the parameters mean.
     """
     from mcrim_mitsuba.transport.simulation import Simulation
 
     parameters = simulation.file.parameters
-    name = next((file for key, file in _BY_PARAMETER.items() if key in parameters), "camoo4.xml")
+    name = "camoo4.xml"
     scene = read_scene(scene_path(name))
-    for effect in effects:
-        scene = scene.edited(add(effect, scene))
-    if _beam_axis(simulation) is not None:
-        # an effect on the crystal acts on both
-        name, scene = "spectrophotometer.xml", spectrophotometer_of(scene)
+    for effect in catalogue().values():
+        if effect.is_in(simulation.file) and not effect.is_in(scene):
+            scene = scene.edited(add(effect.name, scene))
     overrides = {key: value for key, value in parameters.items() if key in scene.parameters}
     meant = Simulation(scene, overrides, variant=simulation.variant, check=False)
     file, path, line = simulation.file, simulation.file.path, None
@@ -227,24 +198,19 @@ def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
         where = "its polarization"
     if where is not None:
         raise InputError(
-            f"the independent programs know the bench of {name} only, and this scene differs from "
-            f"it at {where}",
-            "take a bench of that form",
+            f"the solver without photons knows the bench of {name} only, and this scene differs "
+            f"from it at {where}",
+            "take a bench of that form, or simulate photons",
             path=path,
             line=line,
         )
 
 
 def _emission(simulation: Simulation) -> tuple:
-    """Where light is born: its depth below a face, or the axis and the width of a beam."""
+    """Where light is born: its depth below a face, or the axis of a beam."""
     crystal = simulation.crystal
-    beam = _beam_axis(simulation), getattr(crystal, "diameter_mm", None)
-    return crystal.source_depth_mm, crystal.side_depth_mm, crystal.in_slab, *beam
-
-
-def _beam_axis(simulation: Simulation) -> int | None:
-    """0, 1 or 2; ``None`` where light is born in the crystal."""
-    return getattr(simulation.crystal, "axis", None)
+    axis = getattr(crystal, "axis", None)
+    return crystal.source_depth_mm, crystal.side_depth_mm, crystal.in_slab, axis
 
 
 def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:
@@ -271,8 +237,8 @@ def _parts(model: SceneModel) -> dict[str, list[tuple]]:
     return parts
 
 
-#: Numbers and names that are a scene's own; `Bench.beckmann` is read from the scene itself.
-_NOT_COMPARED = ("name", "surface", "interior", "exterior", "beckmann")
+#: Numbers and names that are a scene's own.
+_NOT_COMPARED = ("name", "surface", "interior", "exterior")
 
 
 def _alike(ours: Any, theirs: Any) -> bool:

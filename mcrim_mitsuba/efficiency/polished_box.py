@@ -564,16 +564,6 @@ def _solved(
     return np.stack((eta, error, absorbed, trapped, gone))
 
 
-_ABSENT = (
-    "polarization wrap_reflectance scattering_g rayleigh_scattering scattering_gradient "
-    "scattering_exponent roughness_alpha top_roughness_alpha side_roughness_alpha "
-    "bottom_roughness_alpha rms_roughness_nm surface_loss chamfer_mm top_reflectance "
-    "gap_absorption_per_cm bubble_fraction bubble_area_fraction collar_mm aperture_at_detector "
-    "detector_reflectance detector_specular cathode_nm radial_falloff mask_offset_mm "
-    "housing_reflectance beam_diameter_mm narrow_collar_mm black_spot_mm"
-).split()
-
-
 def refuse_other_boxes(bench: Bench) -> None:
     """Refuse what the solver does not know, in one line.
 
@@ -582,12 +572,8 @@ def refuse_other_boxes(bench: Bench) -> None:
     InputError
         Names the parameter and the mend.
     """
-    if bench.crystal_diameter_mm is not None:
-        problem = "the solver without photons knows boxes only, and this crystal is a cylinder"
-        raise InputError(problem, "simulate photons")
     mend = "leave it out, or simulate photons"
-    # modes that are odd in x would be needed for a source at a side
-    for name in (*_ABSENT, *(["side_depth_mm"] if bench.side_depth_mm < math.inf else [])):
+    for name in ("polarization", "gap_absorption_per_cm"):
         if getattr(bench, name):
             raise InputError(f"the solver without photons knows no {name}", mend)
     n, n_gap, n_window = bench.n_crystal, bench.gap_index, bench.n_window

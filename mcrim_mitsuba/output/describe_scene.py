@@ -311,7 +311,7 @@ def of_crosscheck(compared: results.CrosscheckResult) -> Description:
 
     solved = _SOLVED if any(quantity.modes is not None for quantity in compared.rows) else ()
     return described(
-        "Mitsuba beside the NumPy tracer",
+        "Mitsuba beside the independent tracer",
         records("", (*_BOTH, *solved), compared.rows),
         f"the {'three' if solved else 'two'} {'agree' if compared.agrees else 'DISAGREE'}: "
         f"family-wise {p_equals(compared.family_p_value)}, tested at {FAMILY_LEVEL:g}; "

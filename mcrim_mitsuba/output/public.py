@@ -442,7 +442,7 @@ def crosscheck(
     check: bool | None = None,
     **parameters: Any,
 ) -> scene_results.CrosscheckResult:
-    """Mitsuba against the independent NumPy tracer, fate by fate.
+    """Mitsuba against the independent tracer, fate by fate.
 
     Parameters
     ----------

@@ -134,7 +134,7 @@ class CheckResult(Result, CheckReport):
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class CrosscheckResult(Result, Crosscheck):
-    """Mitsuba beside the NumPy tracer, fate by fate."""
+    """Mitsuba beside the independent tracer, fate by fate."""
 
     seed: int
 

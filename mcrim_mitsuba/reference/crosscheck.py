@@ -1,4 +1,4 @@
-"""Mitsuba against the independent NumPy tracer, and where it can the solver without photons."""
+"""Mitsuba against the independent tracer, and where it can the solver without photons."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from scipy.special import ndtr
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.noise_free import bench_of
 from mcrim_mitsuba.efficiency.polished_box import BoxEfficiency, solve_box
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.reference.tracer import TracerResult
-    from mcrim_mitsuba.transport.simulation import SimulationResult
+    from mcrim_mitsuba.transport.simulation import Simulation, SimulationResult
 
 #: A fate that fewer photons of the tracer met than this has no normal distribution yet.
 FEWEST_COUNTS = 25
@@ -72,24 +71,25 @@ def crosscheck(
     general: bool = False,
     run: Run = Run(),
 ) -> Crosscheck:
-    """Run a scene in Mitsuba and in the NumPy tracer and compare every fate.
+    """Run a scene in Mitsuba and in the independent tracer and compare every fate.
 
     Where the bench is a polished box, eta and the absorbed part are compared with the solver
     without photons too.
 
-    The run's photons are the NumPy tracer's, a million if nothing is said; `mitsuba_photons` are
-    four times as many when not given: they are cheap. The two programs draw unrelated numbers from
+    The run's photons are the tracer's, a million if nothing is said; `mitsuba_photons` are four
+    times as many when not given: they are cheap. The two programs draw unrelated numbers from
     its seed, and its precision does not matter. Mitsuba's `general` path may be compared even where
     the fast one would do.
 
-    Raises InputError if the scene cannot be read or is not sound, has parameters that the tracer
-    does not know, or is another bench than these parameters describe.
+    Raises InputError if the scene cannot be read or is not sound, or has a part that the tracer
+    does not know.
     """
+    from mcrim_mitsuba.reference.scene_bench import read_bench
     from mcrim_mitsuba.reference.tracer import trace
     from mcrim_mitsuba.transport.simulation import Simulation
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
-    bench, photons = bench_of(simulation), run.photons_or(1_000_000)
+    bench, photons = read_bench(simulation.file), run.photons_or(1_000_000)
     ours = simulation.collect(
         mitsuba_photons or 4 * photons,
         seed=run.seed,
@@ -103,9 +103,10 @@ def crosscheck(
         photons,
         run.seed,
         max_depth=simulation.depth_limit,
-        progress=lambda done: run.tell("NumPy", done, photons),
+        threads=run.threads,
+        progress=lambda done: run.tell("independent tracer", done, photons),
     )
-    solved = _solved(bench)
+    solved = _solved(simulation)
     fates = _fates_met(ours, reference)
     rows = tuple(_row(quantity, ours, reference, solved) for quantity in ("eta", *fates))
     scores = [abs(z) for row in rows for z in (row.z, row.modes_z) if z is not None]
@@ -124,10 +125,10 @@ def _fates_met(ours: SimulationResult, reference: TracerResult) -> list[str]:
     return [f for f in fates if ours.budget.get(f, 0.0) or reference.counts.get(f, 0)]
 
 
-def _solved(bench: Bench) -> BoxEfficiency | None:
+def _solved(simulation: Simulation) -> BoxEfficiency | None:
     """The solver's answer, where it knows such a bench and light is not trapped for ever."""
     try:
-        solved = solve_box(bench)
+        solved = solve_box(bench_of(simulation))
     except InputError:
         return None
     return None if solved.fates["trapped"] else solved

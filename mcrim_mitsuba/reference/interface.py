@@ -1,487 +1,456 @@
-"""Directions, and what becomes of them at an interface: polished or rough, polarised or not."""
+"""Random numbers, directions, and what becomes of one photon at an interface, compiled.
+
+Vectors are tuples of three; a photon's polarisation is its complex electric field, a unit vector
+across its direction of flight, or 0 where it is not followed. `rng` is the state of a photon's own
+generator, one uint64.
+"""
 
 from __future__ import annotations
 
+import cmath
 import math
-from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
 
-from mcrim_mitsuba.reference.geometry import Complexes, Flags, Floats, Indices, dot
+from mcrim_mitsuba.reference.compiling import compiled
 
+# Random numbers: a generator for each photon, so that its numbers depend on nobody else.
 
-def isotropic(rng: np.random.Generator, count: int) -> Floats:
-    """Unit vectors, uniform over the sphere: (3, count) float64."""
-    z = 1.0 - 2.0 * rng.random(count)
-    radius = np.sqrt(1.0 - z * z)
-    azimuth = 2.0 * np.pi * rng.random(count)
-    return np.stack((radius * np.cos(azimuth), radius * np.sin(azimuth), z))
+_STEP = np.uint64(0x9E3779B97F4A7C15)
+_STRIDE = np.uint64(0xD1342543DE82EF95)
+_FIRST = np.uint64(0xBF58476D1CE4E5B9)
+_SECOND = np.uint64(0x94D049BB133111EB)
 
 
-def lambertian(rng: np.random.Generator, normal: Floats) -> Floats:
-    """Unit vectors with density cos(theta)/pi, above zero, about (3, n) unit normals."""
-    return about(rng, normal, np.sqrt(1.0 - rng.random(normal.shape[1])))
+@compiled
+def mixed(word):
+    """A word whose every bit depends on all bits of another: splitmix64's output function.
+
+    G. L. Steele, D. Lea and C. H. Flood, OOPSLA 2014.
+    """
+    word = (word ^ (word >> np.uint64(30))) * _FIRST
+    word = (word ^ (word >> np.uint64(27))) * _SECOND
+    return word ^ (word >> np.uint64(31))
 
 
-def about(rng: np.random.Generator, axis: Floats, cosine: Floats) -> Floats:
-    """Unit vectors, (3, n), at angles of given cosines to unit axes, at random azimuths."""
-    sine = np.sqrt(1.0 - cosine * cosine)
-    azimuth = 2.0 * np.pi * rng.random(cosine.size)
-    u, v = basis(axis)
-    direction = sine * (np.cos(azimuth) * u + np.sin(azimuth) * v) + cosine * axis
-    # over thousands of scatterings rounding would add up
-    return direction / np.sqrt(np.sum(direction * direction, axis=0))
+@compiled
+def seed_photon(rng, seed, number):
+    """Set a generator to where that of a run's photon begins; both are uint64."""
+    rng[0] = mixed(seed + number * _STRIDE)
 
 
-def basis(axis: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (3, n) each, with u x v = axis, that form a frame with unit axes.
+@compiled
+def uniform(rng):
+    """A number in [0, 1)."""
+    rng[0] += _STEP
+    return float(mixed(rng[0]) >> np.uint64(11)) * 2.0**-53
 
-    T. Duff et al., Building an orthonormal basis, revisited, Journal of
-    Computer Graphics Techniques 6(1), 2017.
+
+@compiled
+def exponential(rng):
+    """A number with density exp(-x)."""
+    return -math.log1p(-uniform(rng))
+
+
+@compiled
+def normal(rng):
+    """A number with density exp(-x^2 / 2) / sqrt(2 pi)."""
+    return math.sqrt(2.0 * exponential(rng)) * math.cos(2.0 * math.pi * uniform(rng))
+
+
+# Vectors.
+
+
+@compiled
+def dot(a, b):
+    """Scalar product; of a field with a real vector complex."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled
+def plus(a, length, b):
+    """a + length b."""
+    return a[0] + length * b[0], a[1] + length * b[1], a[2] + length * b[2]
+
+
+@compiled
+def times(length, a):
+    """length a."""
+    return length * a[0], length * a[1], length * a[2]
+
+
+@compiled
+def unit(a):
+    """A vector over its length: rounding would add up over thousands of events."""
+    return times(1.0 / math.sqrt(dot(a, a)), a)
+
+
+@compiled
+def vector_product(a, b):
+    """a x b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def square(z):
+    """abs(z)^2."""
+    return z.real * z.real + z.imag * z.imag
+
+
+@compiled
+def basis(axis):
+    """Two unit vectors that form a frame with a unit axis.
+
+    T. Duff et al., Building an orthonormal basis, revisited, Journal of Computer Graphics
+    Techniques 6(1), 2017.
     """
     x, y, z = axis
-    sign = np.copysign(1.0, z)
+    sign = math.copysign(1.0, z)
     a = -1.0 / (sign + z)
     b = x * y * a
-    u = np.stack((1.0 + sign * x * x * a, sign * b, -sign * x))
-    v = np.stack((b, sign + y * y * a, -y))
-    return u, v
+    return (1.0 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
+
+
+@compiled
+def about(rng, axis, cosine):
+    """A unit vector at an angle of this cosine to a unit axis, at a random azimuth."""
+    sine, azimuth = math.sqrt(max(0.0, 1.0 - cosine * cosine)), 2.0 * math.pi * uniform(rng)
+    u, v = basis(axis)
+    across = plus(times(sine * math.cos(azimuth), u), sine * math.sin(azimuth), v)
+    return unit(plus(across, cosine, axis))
+
+
+@compiled
+def isotropic(rng):
+    """A unit vector, uniform over the sphere."""
+    z, azimuth = 1.0 - 2.0 * uniform(rng), 2.0 * math.pi * uniform(rng)
+    radius = math.sqrt(1.0 - z * z)
+    return radius * math.cos(azimuth), radius * math.sin(azimuth), z
+
+
+@compiled
+def lambertian(rng, axis):
+    """A unit vector with density cos(theta)/pi about a unit normal."""
+    return about(rng, axis, math.sqrt(1.0 - uniform(rng)))
+
+
+@compiled
+def random_polarisation(rng, direction):
+    """A field of unpolarised light: linear at a random angle.
+
+    Every mixture of pure states with the same mean density matrix gives the same detection
+    statistics, so circular and elliptic states need no share.
+    """
+    u, v = basis(direction)
+    angle = 2.0 * math.pi * uniform(rng)
+    return plus(times(complex(math.cos(angle)), u), math.sin(angle), v)
+
+
+@compiled
+def followed(field):
+    """Whether a photon's polarisation is followed."""
+    return field[0] != 0.0 or field[1] != 0.0 or field[2] != 0.0
+
+
+@compiled
+def depolarised(rng, field, direction):
+    """The field of a photon that has a new direction and nothing left of its old field."""
+    return random_polarisation(rng, direction) if followed(field) else field
+
+
+@compiled
+def scattered_cosine(rng, rayleigh, g):
+    """Cosine of the angle of a scattering, by Rayleigh's phase function or one of mean cosine g.
+
+    Rayleigh: J. R. Frisvad, Journal of the Optical Society of America A 28 (2011) 2436. Others:
+    L. G. Henyey and J. L. Greenstein, Astrophysical Journal 93 (1941) 70; the inverse of the
+    distribution function as in A. N. Witt, ApJ Suppl. 35 (1977) 1.
+    """
+    if rayleigh:
+        draw = 2.0 * (2.0 * uniform(rng) - 1.0)
+        root = (draw + math.sqrt(draw * draw + 1.0)) ** (1.0 / 3.0)
+        return min(1.0, max(-1.0, root - 1.0 / root))
+    if g == 0.0:
+        return 1.0 - 2.0 * uniform(rng)
+    ratio = (1.0 - g * g) / (1.0 - g + 2.0 * g * uniform(rng))
+    return min(1.0, max(-1.0, (1.0 + g * g - ratio * ratio) / (2.0 * g)))
 
 
 # Fresnel's formulae for plane, lossless interfaces.
 #
-# Sources: M. Born and E. Wolf, Principles of Optics, 7th ed., sec. 1.5.2
-# (amplitudes), 1.5.3 (reflectivity) and 1.5.4 (total reflection). ``cos_in`` is
-# the cosine of the angle of incidence, ``n_in`` and ``n_out`` the indices before
-# and behind the interface. All functions take arrays that broadcast together.
+# Sources: M. Born and E. Wolf, Principles of Optics, 7th ed., sec. 1.5.2 (amplitudes), 1.5.3
+# (reflectivity) and 1.5.4 (total reflection). ``cos_in`` is the cosine of the angle of incidence,
+# ``n_in`` and ``n_out`` the indices before and behind the interface.
 
 
-class Amplitudes(NamedTuple):
-    """Complex amplitude coefficients, (n,) complex128 each."""
-
-    reflected_s: Complexes
-    reflected_p: Complexes
-    transmitted_s: Complexes
-    transmitted_p: Complexes
-
-
-#: One number, or one for every photon.
-_Number = float | Floats
-
-
-def cosine_squared_out(cos_in: _Number, n_in: _Number, n_out: _Number) -> Floats:
+@compiled
+def cosine_squared_out(cos_in, n_in, n_out):
     """Squared cosine of the angle of refraction; not positive under total reflection.
 
-    Snell's law, arranged so that equal indices give back ``cos_in`` squared
-    exactly, also at grazing incidence.
+    Snell's law, so arranged that equal indices give back ``cos_in`` squared exactly.
     """
-    ratio_squared = np.square(np.divide(n_in, n_out))
-    return (1.0 - ratio_squared) + ratio_squared * np.square(cos_in)
+    ratio_squared = (n_in / n_out) ** 2
+    return (1.0 - ratio_squared) + ratio_squared * cos_in * cos_in
 
 
-def unpolarised_reflectance(
-    cos_in: _Number, n_in: _Number, n_out: _Number, cos_out: _Number
-) -> Floats:
-    """Mean of the s and p reflectivities: (n,) float64.
-
-    ``cos_out`` is the cosine of the angle of refraction, 0 under total
-    reflection, which makes the result 1 exactly.
-    """
-    cos_in, cos_out = np.asarray(cos_in), np.asarray(cos_out)
+@compiled
+def unpolarised_reflectance(cos_in, n_in, n_out):
+    """Mean of the s and p reflectivities; exactly 1 under total reflection."""
+    cos_out = math.sqrt(max(0.0, cosine_squared_out(cos_in, n_in, n_out)))
     s = (n_in * cos_in - n_out * cos_out) / (n_in * cos_in + n_out * cos_out)
     p = (n_out * cos_in - n_in * cos_out) / (n_out * cos_in + n_in * cos_out)
     return 0.5 * (s * s + p * p)
 
 
-def amplitudes(cos_in: _Number, n_in: _Number, n_out: _Number) -> Amplitudes:
-    """Amplitude coefficients with the phases of total reflection.
+@compiled
+def amplitudes(cos_in, n_in, n_out):
+    """Amplitudes of s and p reflected, s and p transmitted, with the phases of total reflection.
 
-    In frames where s x (propagation direction) is p for every wave, as in Born
-    and Wolf's figure 1.10. Beyond the critical angle the cosine of refraction
-    is +i sqrt(sin^2/n^2 - 1), for the time dependence exp(-i omega t).
+    In frames where s x (propagation direction) is p for every wave, as in Born and Wolf's figure
+    1.10. Beyond the critical angle the cosine of refraction is +i sqrt(sin^2/n^2 - 1), for the
+    time dependence exp(-i omega t).
     """
-    squared = cosine_squared_out(cos_in, n_in, n_out)
-    cos_out: Complexes = np.sqrt(squared.astype(np.complex128))
+    cos_out = cmath.sqrt(complex(cosine_squared_out(cos_in, n_in, n_out)))
     s_in, s_out = n_in * cos_in, n_out * cos_out
     p_in, p_out = n_out * cos_in, n_in * cos_out
-    return Amplitudes(
-        reflected_s=(s_in - s_out) / (s_in + s_out),
-        reflected_p=(p_in - p_out) / (p_in + p_out),
-        transmitted_s=2.0 * s_in / (s_in + s_out),
-        transmitted_p=2.0 * s_in / (p_in + p_out),
-    )
+    s, p = s_in + s_out, p_in + p_out
+    return (s_in - s_out) / s, (p_in - p_out) / p, 2.0 * s_in / s, 2.0 * s_in / p
 
 
-# One photon meets one interface: reflected or refracted, with or without polarisation.
-#
-# The polarisation state of a photon is its complex electric field, a unit vector
-# in space perpendicular to the direction of flight.
+@compiled
+def across_incidence(direction, axis):
+    """A unit vector across the plane of incidence; any across the direction at normal incidence."""
+    s = vector_product(direction, axis)
+    length = math.sqrt(dot(s, s))
+    # s and p differ by the square of the sine
+    return times(1.0 / length, s) if length > 1e-8 else basis(direction)[0]
 
-_NORMAL_INCIDENCE_SINE = 1e-8
-"""Below this sine of the angle of incidence any plane of incidence will do: s and p
-differ by its square."""
+
+@compiled
+def field_of(field_s, field_p, s, direction):
+    """The unit field of s and p components, by the unit vector across the plane of incidence."""
+    length = math.sqrt(square(field_s) + square(field_p))
+    return plus(times(field_s / length, s), field_p / length, vector_product(s, direction))
 
 
-def cross(
-    rng: np.random.Generator,
-    direction: Floats,
-    normal: Floats,
-    n_in: _Number,
-    n_out: Floats,
-    field: Complexes | None = None,
-    rms_per_wavelength: _Number = 0.0,
-) -> tuple[Floats, Flags, Complexes | None]:
-    """Send photons through an interface, each as one whole quantum.
+# One photon meets one interface, as one whole quantum.
 
-    They fly along unit vectors `direction`, (3, n); unit normals, (3, n), point ahead:
-    ``direction . normal`` is positive. `n_in` and `n_out`, (n,), are the indices of the medium that
-    they are in and of that behind the interface. Without polarisation states `field`, (3, n), they
-    are taken as unpolarised. Heights of `rms_per_wavelength`, (n,), scatter by `scatter_by_haze`,
-    which leaves no polarisation. Returned are directions, which are transmitted, (n,), and states.
+
+@compiled
+def cross(rng, direction, axis, n_in, n_out, field, heights):
+    """Send a photon through an interface: its direction, whether it is transmitted, its field.
+
+    It flies along a unit vector, and the unit normal `axis` points ahead; indices are those before
+    and behind the interface. Heights, an rms over the wavelength, scatter by `hazy_direction`.
     """
-    cos_in = dot(direction, normal)
-    cos_out = np.sqrt(np.maximum(cosine_squared_out(cos_in, n_in, n_out), 0.0))
-    if field is None:
-        reflectance = unpolarised_reflectance(cos_in, n_in, n_out, cos_out)
+    cos_in = min(1.0, dot(direction, axis))
+    cos_out = math.sqrt(max(0.0, cosine_squared_out(cos_in, n_in, n_out)))
+    s, polarised = axis, followed(field)
+    field_s, field_p, through_s, through_p = 0j, 0j, 0j, 0j
+    if polarised:
+        s = across_incidence(direction, axis)
+        r_s, r_p, t_s, t_p = amplitudes(cos_in, n_in, n_out)
+        e_s, e_p = dot(field, s), dot(field, vector_product(s, direction))
+        field_s, field_p, through_s, through_p = r_s * e_s, r_p * e_p, t_s * e_s, t_p * e_p
+        reflectance = square(field_s) + square(field_p)
     else:
-        s = _across_incidence(direction, normal)
-        field_s, field_p = dot(field, s), dot(field, _cross_product(s, direction))
-        coefficients = amplitudes(cos_in, n_in, n_out)
-        reflected_s = coefficients.reflected_s * field_s
-        reflected_p = coefficients.reflected_p * field_p
-        reflectance = _square(reflected_s) + _square(reflected_p)
+        reflectance = unpolarised_reflectance(cos_in, n_in, n_out)
     # the second condition is for rounding: |r| of a total reflection may be 1 - 1e-16
-    transmitted = (rng.random(cos_in.shape) >= reflectance) & (cos_out > 0.0)
-    outgoing = direction - (2.0 * cos_in) * normal
-    through = np.flatnonzero(transmitted)
-    if through.size:
-        vectors = direction[:, through], normal[:, through]
-        numbers = cos_in[through], cos_out[through], (n_in / n_out)[through]
-        outgoing[:, through] = _refracted(*vectors, *numbers)
-    if field is not None:
-        out_s = np.where(transmitted, coefficients.transmitted_s * field_s, reflected_s)
-        out_p = np.where(transmitted, coefficients.transmitted_p * field_p, reflected_p)
-        field = _field_of(out_s, out_p, s, outgoing)
-    if np.any(rms_per_wavelength):
-        who, scattered = scatter_by_haze(
-            rng, normal, cos_in, n_in, n_out, transmitted, rms_per_wavelength
-        )
-        outgoing[:, who] = scattered
-        if field is not None:
-            field[:, who] = random_polarisation(rng, scattered)
-    return outgoing, transmitted, field
+    transmitted = uniform(rng) >= reflectance and cos_out > 0.0
+    if transmitted:
+        ratio = n_in / n_out
+        way = unit(plus(times(ratio, direction), cos_out - ratio * cos_in, axis))
+        field_s, field_p = through_s, through_p
+    else:
+        way = unit(plus(direction, -2.0 * cos_in, axis))
+    if polarised:
+        field = field_of(field_s, field_p, s, way)
+    if heights > 0.0 and uniform(rng) < haze(cos_in, n_in, n_out, transmitted, heights)[1]:
+        way = hazy_direction(rng, axis, n_in, n_out, transmitted, heights)
+        field = depolarised(rng, field, way)
+    return way, transmitted, field
 
 
-def _field_of(field_s: Complexes, field_p: Complexes, s: Floats, direction: Floats) -> Complexes:
-    """Unit fields of s and p components, by unit vectors across the planes of incidence."""
-    field = field_s * s + field_p * _cross_product(s, direction)
-    return field / np.sqrt(_square(field_s) + _square(field_p))
+@compiled
+def haze(cos_in, n_in, n_out, transmitted, heights):
+    """What of unpolarised light a face reflects, or transmits, and what of this it scatters.
 
-
-def _refracted(
-    direction: Floats, normal: Floats, cos_in: Floats, cos_out: Floats, ratio: Floats
-) -> Floats:
-    """Unit vectors behind an interface, of a `ratio` of the index before it to that behind it."""
-    refracted = ratio * (direction - cos_in * normal) + cos_out * normal
-    return refracted / np.sqrt(dot(refracted, refracted))
-
-
-def random_polarisation(rng: np.random.Generator, direction: Floats) -> Complexes:
-    """Fields of unpolarised light: linear at a random angle, (3, n) complex128.
-
-    Every mixture of pure states with the same mean density matrix gives the
-    same detection statistics, so circular and elliptic states need no share.
+    A wave that meets heights of an rms keeps the part exp(-q^2) of its power in the specular
+    direction, q being the rms of its phase: H. E. Bennett and J. O. Porteus, Journal of the Optical
+    Society of America 51 (1961) 123, for reflection; in refraction the heights change the path by
+    the difference of n cos(theta) on the two sides.
     """
-    u, v = basis(direction)
-    angle = 2.0 * np.pi * rng.random(direction.shape[1])
-    return (np.cos(angle) * u + np.sin(angle) * v).astype(np.complex128)
+    part, path = unpolarised_reflectance(cos_in, n_in, n_out), 2.0 * n_in * cos_in
+    if transmitted:
+        cos_out = math.sqrt(max(0.0, cosine_squared_out(cos_in, n_in, n_out)))
+        part, path = 1.0 - part, abs(n_in * cos_in - n_out * cos_out)
+    return part, -math.expm1(-((2.0 * math.pi * heights * path) ** 2))
 
 
-def _across_incidence(direction: Floats, normal: Floats) -> Floats:
-    """Unit vectors perpendicular to the planes of incidence and to the directions: (3, n)."""
-    s = _cross_product(direction, normal)
-    length = np.sqrt(dot(s, s))
-    undefined = np.flatnonzero(length < _NORMAL_INCIDENCE_SINE)
-    if undefined.size:
-        s[:, undefined] = basis(direction[:, undefined])[0]
-        length[undefined] = 1.0
-    return s / length
+@compiled
+def hazy_direction(rng, axis, n_in, n_out, transmitted, heights):
+    """Where heights scatter a photon that a face has reflected or transmitted.
+
+    It stays on its side, and leaves by Lambert's law times what light that comes back on its way
+    would have reflected or refracted, and scattered: isotropic light in equilibrium stays so.
+    """
+    near, far = (n_out, n_in) if transmitted else (n_in, n_out)
+    # no path is longer: in refraction that at the critical angle, or at grazing incidence
+    longest2 = abs(near * near - far * far) if transmitted else 4.0 * near * near
+    highest = -math.expm1(-((2.0 * math.pi * heights) ** 2) * longest2)
+    while True:
+        cosine = math.sqrt(1.0 - uniform(rng))
+        part, share = haze(cosine, near, far, transmitted, heights)
+        if uniform(rng) * highest < part * share:
+            return about(rng, axis if transmitted else times(-1.0, axis), cosine)
 
 
-def _cross_product(a: Floats, b: Floats) -> Floats:
-    # numpy.cross is several times slower on (3, n) arrays
-    return np.stack(
-        (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-    )
-
-
-def _square(z: Complexes) -> Floats:
-    return z.real * z.real + z.imag * z.imag
-
-
-# Rough faces made of microfacets: each photon walks among them until it leaves.
+# Rough faces made of microfacets: a photon walks among them until it leaves.
 
 _GAUSS_PEAK = 1.0 / math.sqrt(2.0 * math.pi)
+#: What is divided by is not smaller: squares and logarithms of the quotients are numbers.
 _TINY = 1e-100
-"""What is divided by is not smaller: squares and logarithms of the quotients are numbers."""
 
 
-def cross_rough(
-    rng: np.random.Generator,
-    direction: Floats,
-    normal: Floats,
-    n_in: float,
-    n_out: Floats,
-    roughness: Floats,
-    field: Complexes | None = None,
-    rms_per_wavelength: _Number = 0.0,
-    *,
-    beckmann: bool = False,
-) -> tuple[Floats, Flags, Complexes | None]:
-    """Send photons through a rough interface, each as one whole quantum.
+@compiled
+def cross_rough(rng, direction, axis, n_in, n_out, field, heights, alpha, beckmann):
+    """Send a photon through an interface that may be rough; the rest is as of `cross`.
 
     The random walk of E. Heitz et al., ACM Transactions on Graphics 35 (2016) 58, in Smith's field
     of heights: a photon meets a facet, drawn by the area that it sees, Fresnel's formulae decide
     there, and it flies on, until it is above or below all. Behind the interface it walks in the
     heights turned upside down. Nothing is lost, and isotropic light in equilibrium stays so.
-
-    Parameters and what is returned are those of `interface.cross`, with heights of the facets, and
-    ``roughness``: (n,) float64, the alpha, above 0, of GGX slopes or, with ``beckmann``, of
-    Beckmann's.
+    ``alpha`` is that of GGX slopes or, with ``beckmann``, of Beckmann's.
     """
-    direction, up, count = direction.copy(), -normal, normal.shape[1]
-    field = None if field is None else field.copy()
-    n_here, n_ahead = np.full(count, n_in), n_out.copy()
-    heights = np.broadcast_to(rms_per_wavelength, count)
-    transmitted = np.zeros(count, dtype=bool)
+    if alpha == 0.0:
+        return cross(rng, direction, axis, n_in, n_out, field, heights)
+    up, transmitted = times(-1.0, axis), False
     # logarithm of the share of the face that is lower than the photon; it comes from above
-    level = np.zeros(count)
-    who = np.arange(count)
+    level = 0.0
     while True:
-        cosine = -dot(direction[:, who], up[:, who])
-        area = _visible_area(cosine, roughness[who], beckmann)
+        cosine = -dot(direction, up)
         # Heitz's free paths: this share's power of Smith's Lambda is a uniform number
-        level[who] -= rng.standard_exponential(who.size) * cosine / area
-        who = who[level[who] < 0.0]
-        if not who.size:
+        level -= exponential(rng) * cosine / _visible_area(cosine, alpha, beckmann)
+        if level >= 0.0:
             return direction, transmitted, field
-        facet = visible_normals(rng, -direction[:, who], up[:, who], roughness[who], beckmann)
-        states = None if field is None else field[:, who]
-        direction[:, who], through, states = cross(
-            rng, direction[:, who], -facet, n_here[who], n_ahead[who], states, heights[who]
-        )
-        if field is not None:
-            field[:, who] = states
-        behind = who[through]
-        transmitted[behind] ^= True
-        up[:, behind] *= -1.0
-        # a share of 0 would be a bottom that nothing leaves
-        level[behind] = np.log(-np.expm1(np.minimum(level[behind], -_TINY)))
-        n_here[behind], n_ahead[behind] = n_ahead[behind], n_here[behind]
+        facet = _visible_normal(rng, times(-1.0, direction), up, alpha, beckmann)
+        ahead = times(-1.0, facet)
+        direction, through, field = cross(rng, direction, ahead, n_in, n_out, field, heights)
+        if through:
+            transmitted, up = not transmitted, times(-1.0, up)
+            # a share of 0 would be a bottom that nothing leaves
+            level = math.log(-math.expm1(min(level, -_TINY)))
+            n_in, n_out = n_out, n_in
 
 
-def _visible_area(cosine: Floats, roughness: _Number, beckmann: bool) -> Floats:
+@compiled
+def _visible_area(cosine, alpha, beckmann):
     """Area of facets, over the face's, that is seen at an angle whose cosine may be negative.
 
     From above it is cosine (1 + Lambda), from below -cosine Lambda, with Smith's Lambda.
     """
-    across = roughness * np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine))
+    across = alpha * math.sqrt(max(0.0, 1.0 - cosine * cosine))
     if beckmann:
-        across = np.maximum(across, _TINY) / math.sqrt(2.0)
+        across = max(across, _TINY) / math.sqrt(2.0)
         farthest = cosine / across
-        area = cosine * ndtr(farthest) + across * _GAUSS_PEAK * np.exp(-0.5 * farthest * farthest)
+        below = 0.5 * math.erfc(-farthest / math.sqrt(2.0))
+        area = cosine * below + across * _GAUSS_PEAK * math.exp(-0.5 * farthest * farthest)
     else:
-        area = 0.5 * (cosine + np.hypot(across, cosine))
-    return np.maximum(area, _TINY)
+        area = 0.5 * (cosine + math.hypot(across, cosine))
+    return max(area, _TINY)
 
 
-def visible_normals(
-    rng: np.random.Generator, view: Floats, normal: Floats, roughness: _Number, beckmann: bool
-) -> Floats:
-    """Normals of facets, in proportion to the area that is seen along ``view``.
+@compiled
+def _visible_normal(rng, view, axis, alpha, beckmann):
+    """Normal of a facet, in proportion to the area that is seen along ``view``.
 
     GGX slopes are those of B. Walter et al., Eurographics Symposium on Rendering 2007, Beckmann's
     are Gaussian with a variance of alpha^2 / 2. Views are unit vectors towards where the light
-    comes from, also from below the face, whose normals point up; ``view . facet`` is positive.
+    comes from, also from below the face, whose normal points up; ``view . facet`` is positive.
     """
     # the face's own frame, with the plane of incidence as x-z plane: view = (sine, 0, cosine)
-    cosine = dot(view, normal)
-    x = view - cosine * normal
-    sine = np.sqrt(dot(x, x))
-    perpendicular = sine == 0.0
-    x = np.where(perpendicular, basis(normal)[0], x / np.where(perpendicular, 1.0, sine))
-    y = _cross_product(normal, x)
-    facets = _beckmann_facets if beckmann else _ggx_facets
-    facet_x, facet_y, facet_z = facets(rng, sine, cosine, roughness)
-    facet = facet_x * x + facet_y * y + facet_z * normal
-    return facet / np.sqrt(dot(facet, facet))
+    cosine = dot(view, axis)
+    x = plus(view, -cosine, axis)
+    sine = math.sqrt(dot(x, x))
+    x = times(1.0 / sine, x) if sine > 0.0 else basis(axis)[0]
+    if beckmann:
+        facets = _beckmann_facet(rng, sine, cosine, alpha)
+    else:
+        facets = _ggx_facet(rng, sine, cosine, alpha)
+    along = plus(times(facets[0], x), facets[1], vector_product(axis, x))
+    return unit(plus(along, facets[2], axis))
 
 
-def _ggx_facets(
-    rng: np.random.Generator, sine: Floats, cosine: Floats, roughness: _Number
-) -> tuple[Floats, Floats, Floats]:
-    """Vectors along facets' normals, in the frame of the plane of incidence.
+@compiled
+def _ggx_facet(rng, sine, cosine, alpha):
+    """A vector along a facet's normal, in the frame of the plane of incidence.
 
     E. Heitz, Journal of Computer Graphics Techniques 7(4), 2018; from below the half ellipse cuts a
     crescent out of the half disc.
     """
     # the view from a hemisphere that stretching makes of the ellipsoid
-    stretched = np.hypot(roughness * sine, cosine)
-    sine, cosine = roughness * sine / stretched, cosine / stretched
+    stretched = math.hypot(alpha * sine, cosine)
+    sine, cosine = alpha * sine / stretched, cosine / stretched
     # a point of the projected hemisphere: of a half disc and a half ellipse
-    radius = np.sqrt(rng.random(cosine.size))
-    azimuth = 2.0 * np.pi * rng.random(cosine.size)
-    across, upwards = radius * np.cos(azimuth), radius * np.sin(azimuth)
+    radius, azimuth = math.sqrt(uniform(rng)), 2.0 * math.pi * uniform(rng)
+    across, upwards = radius * math.cos(azimuth), radius * math.sin(azimuth)
     share = 0.5 * (1.0 + cosine)
-    upwards = (1.0 - share) * np.sqrt(1.0 - across * across) + share * upwards
-    towards = np.sqrt(np.maximum(0.0, 1.0 - across * across - upwards * upwards))
+    upwards = (1.0 - share) * math.sqrt(1.0 - across * across) + share * upwards
+    towards = math.sqrt(max(0.0, 1.0 - across * across - upwards * upwards))
     # back to the face's frame, and unstretched; T1 = y, T2 = view x T1 = (-cosine, 0, sine)
-    facet_x = roughness * (towards * sine - upwards * cosine)
-    return facet_x, roughness * across, np.maximum(0.0, towards * cosine + upwards * sine)
+    along = alpha * (towards * sine - upwards * cosine)
+    return along, alpha * across, max(0.0, towards * cosine + upwards * sine)
 
 
-def _beckmann_facets(
-    rng: np.random.Generator, sine: Floats, cosine: Floats, roughness: _Number
-) -> tuple[Floats, Floats, Floats]:
-    """Vectors along facets' normals of Gaussian slopes, in the frame of the plane of incidence.
+@compiled
+def _beckmann_facet(rng, sine, cosine, alpha):
+    """A vector along the normal of a facet of Gaussian slopes, in the plane of incidence's frame.
 
     Slopes along the view, t sigma, are drawn by (a - t)_+ exp(-t^2 / 2).
     With a = cosine / (sigma sine), by rejection: from above from Gaussian and Rayleigh numbers, the
     parts of (a + (-t)_+) exp(-t^2 / 2), from below from Rayleigh numbers a - t.
     """
-    sigma = roughness / math.sqrt(2.0)
-    farthest = cosine / np.maximum(sigma * sine, _TINY)
-    slope, who = np.empty_like(cosine), np.arange(cosine.size)
-    while who.size:
-        a = farthest[who]
-        t = -np.sqrt(2.0 * rng.standard_exponential(who.size))
-        chance = rng.random(who.size)
-        even = rng.random(who.size) * (a + _GAUSS_PEAK) < a
-        t[even] = rng.standard_normal(np.count_nonzero(even))
-        taken = np.where(a >= 0.0, chance * a < a - t, chance < np.exp(np.minimum(-a * t, 0.0)))
-        t = np.where(a >= 0.0, t, a + t)
-        slope[who[taken]] = t[taken]
-        who = who[~taken]
-    return -sigma * slope, sigma * rng.standard_normal(cosine.size), np.ones_like(cosine)
-
-
-# Fine roughness: heights far below a wavelength, of no slope that would matter.
-
-
-def scatter_by_haze(
-    rng: np.random.Generator,
-    normal: Floats,
-    cos_in: Floats,
-    n_in: _Number,
-    n_out: Floats,
-    transmitted: Flags,
-    rms_per_wavelength: _Number,
-) -> tuple[Indices, Floats]:
-    """Which photons the heights of a face scatter, after it has reflected or refracted them.
-
-    A wave that meets heights of an rms keeps the part exp(-q^2) of its power in the specular
-    direction, q being the rms of its phase: H. E. Bennett and J. O. Porteus, Journal of the Optical
-    Society of America 51 (1961) 123, for reflection; in refraction the heights change the path by
-    the difference of n cos(theta) on the two sides. What is scattered stays on the side that the
-    photon is on, and leaves by Lambert's law times what light that comes back on its way would have
-    reflected or refracted, and scattered: so isotropic light in equilibrium stays so.
-
-    Numbers are as of `cross`, with the cosine ``cos_in`` of the unit normals that point ahead to
-    where photons came from, and whether each was `transmitted`. Returned are indices of the (m,)
-    that are scattered, and their new directions, (3, m).
-    """
-    _, share = _haze(cos_in, n_in, n_out, transmitted, rms_per_wavelength)
-    who = np.flatnonzero(rng.random(cos_in.shape) < share)
-    transmitted = transmitted[who]
-    before, behind, heights = (
-        np.broadcast_to(number, share.shape)[who] for number in (n_in, n_out, rms_per_wavelength)
-    )
-    near, far = np.where(transmitted, (behind, before), (before, behind))
-    # the way back of all photons that are alike in this
-    ways = np.stack((near, far, transmitted, heights), axis=1)
-    cosine = np.empty(who.size)
-    for way in {*map(tuple, ways.tolist())}:
-        critical = math.sqrt(max(1e-6, 1.0 - (way[1] / way[0]) ** 2))
-        cosines = np.append(np.linspace(1e-3, 1.0, 1000), critical)
-        highest = np.prod(_haze(cosines, *way), axis=0).max()
-        pending = np.flatnonzero(np.all(ways == way, axis=1))
-        while pending.size:
-            drawn = np.sqrt(1.0 - rng.random(pending.size))
-            taken = rng.random(pending.size) * highest < np.prod(_haze(drawn, *way), axis=0)
-            cosine[pending[taken]] = drawn[taken]
-            pending = pending[~taken]
-    return who, about(rng, np.where(transmitted, 1.0, -1.0) * normal[:, who], cosine)
-
-
-def _haze(
-    cos_in: Floats, n_in: _Number, n_out: _Number, transmitted: Flags | float, heights: _Number
-) -> tuple[Floats, Floats]:
-    """What of unpolarised light a face reflects, or transmits, and what of this it scatters."""
-    cos_out = np.sqrt(np.maximum(cosine_squared_out(cos_in, n_in, n_out), 0.0))
-    reflectance = unpolarised_reflectance(cos_in, n_in, n_out, cos_out)
-    path = np.where(transmitted, np.abs(n_in * cos_in - n_out * cos_out), 2.0 * n_in * cos_in)
-    scattered = -np.expm1(-np.square(2.0 * np.pi * heights * path))
-    return np.where(transmitted, 1.0 - reflectance, reflectance), scattered
+    sigma = alpha / math.sqrt(2.0)
+    a = cosine / max(sigma * sine, _TINY)
+    while True:
+        t = -math.sqrt(2.0 * exponential(rng))
+        if a < 0.0:
+            taken, t = uniform(rng) < math.exp(min(-a * t, 0.0)), a + t
+        else:
+            if uniform(rng) * (a + _GAUSS_PEAK) < a:
+                t = normal(rng)
+            taken = uniform(rng) * a < a - t
+        if taken:
+            return -sigma * t, sigma * normal(rng), 1.0
 
 
 # A film thinner than a wavelength that absorbs, between glass and vacuum.
 
 
-class AbsorbingFilm(NamedTuple):
-    """A photocathode, by the characteristic matrix of its layer.
+@compiled
+def film_waves(film_index, n_window, wavelengths, cos_in):
+    """Reflected amplitudes (as of `amplitudes`) and transmittances: s, p, s and p.
 
-    F. Abelès, Annales de Physique 12 (1950) 596; in the form of H. A. Macleod, Thin-Film Optical
-    Filters, chapter 2: with the admittance eta of a medium, which is n cos(theta) for s and
-    n / cos(theta) for p polarised light, the film's phase delta = 2 pi n cos(theta) d / lambda and
-    vacuum behind it, B = cos(delta) + eta_v / eta_f (-i sin(delta)) and
-    C = -i eta_f sin(delta) + eta_v cos(delta), for the time dependence exp(-i omega t).
+    The characteristic matrix of its layer: F. Abelès, Annales de Physique 12 (1950) 596; in the
+    form of H. A. Macleod, Thin-Film Optical Filters, chapter 2: with the admittance eta of a
+    medium, which is n cos(theta) for s and n / cos(theta) for p polarised light, the film's phase
+    delta = 2 pi n cos(theta) d / lambda and vacuum behind it, B = cos(delta) + eta_v / eta_f
+    (-i sin(delta)) and C = -i eta_f sin(delta) + eta_v cos(delta), for the time dependence
+    exp(-i omega t). `wavelengths` is the thickness over the wavelength in vacuum.
     """
-
-    #: n + ik
-    film_index: complex
-    #: Of the glass.
-    n_window: float
-    #: Thickness over the wavelength in vacuum.
-    wavelengths: float
-
-    def waves(self, cos_in: Floats) -> tuple[Complexes, Floats]:
-        """Reflected amplitudes (as of `amplitudes`) and transmittances of s and p light, (2, n)."""
-        sine = self.n_window * np.sqrt(1.0 - np.square(cos_in))
-        cosines = [np.sqrt(1.0 - (sine / n) ** 2 + 0j) for n in (self.film_index, 1.0)]
-        delta = 2.0 * np.pi * self.wavelengths * self.film_index * cosines[0]
-        reflected, transmitted = [], []
-        for power in (1, -1):
-            of_glass = self.n_window * cos_in**power
-            of_film, of_vacuum = (
-                n * cosine**power for n, cosine in zip((self.film_index, 1.0), cosines, strict=True)
-            )
-            b = np.cos(delta) - 1j * np.sin(delta) * of_vacuum / of_film
-            c = of_vacuum * np.cos(delta) - 1j * np.sin(delta) * of_film
-            r = (of_glass * b - c) / (of_glass * b + c)
-            # tangential components of p polarised light turn round in reflection
-            reflected.append(r * power)
-            entering = 4.0 * of_glass * of_vacuum.real / np.abs(of_glass * b + c) ** 2
-            transmitted.append(entering)
-        return np.array(reflected), np.array(transmitted)
+    sine = n_window * math.sqrt(1.0 - cos_in * cos_in)
+    in_film = cmath.sqrt(1.0 - (sine / film_index) ** 2)
+    in_vacuum = cmath.sqrt(complex(1.0 - sine * sine))
+    delta = 2.0 * math.pi * wavelengths * film_index * in_film
+    r_s, t_s = _film_wave(n_window * cos_in, film_index * in_film, in_vacuum, delta)
+    r_p, t_p = _film_wave(n_window / cos_in, film_index / in_film, 1.0 / in_vacuum, delta)
+    # tangential components of p polarised light turn round in reflection
+    return r_s, -r_p, t_s, t_p
 
 
-# The photocathode K-Cs-Sb: wavelengths in nm, and n and k of its index n + ik. D. Motta and
-# S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217, as tabulated in WCSim
-# (data/CathodeParameters_KCsCb.txt); 420 and 540 nm are this project's.
-_CATHODE_NM = np.array(sorted([*range(380, 681, 15), 420, 540]), dtype=float)
-_CATHODE_N = """
-    1.92 2.18 2.38 2.57 2.61 2.70 2.87 3.00 3.00 3.00 3.09 3.26
-    3.22 3.20 3.12 3.06 3.01 2.98 2.96 2.95 2.95 2.95 2.96
-"""
-_CATHODE_K = """
-    1.69 1.69 1.71 1.57 1.53 1.50 1.44 1.34 1.11 1.06 1.05 0.86
-    0.7055 0.63 0.53 0.46 0.42 0.38 0.37 0.35 0.34 0.34 0.33
-"""
-
-
-def cathode_index(wavelength_nm: float) -> complex:
-    """Index n + ik of the photocathode, on straight lines between the tabulated wavelengths."""
-    tables = (np.array(table.split(), float) for table in (_CATHODE_N, _CATHODE_K))
-    n, k = (np.interp(wavelength_nm, _CATHODE_NM, table) for table in tables)
-    return complex(n, k)
+@compiled
+def _film_wave(of_glass, of_film, of_vacuum, delta):
+    b = cmath.cos(delta) - 1j * cmath.sin(delta) * of_vacuum / of_film
+    c = of_vacuum * cmath.cos(delta) - 1j * cmath.sin(delta) * of_film
+    transmitted = 4.0 * of_glass * of_vacuum.real / square(of_glass * b + c)
+    return (of_glass * b - c) / (of_glass * b + c), transmitted

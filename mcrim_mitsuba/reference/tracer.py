@@ -1,21 +1,41 @@
-"""Run the tracer over many photons."""
+"""Trace many photons over a bench's faces, by threads."""
 
 from __future__ import annotations
 
 import contextlib
 import operator
-from collections.abc import Callable
+import os
+from collections import Counter
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import MM_PER_CM
-from mcrim_mitsuba.efficiency.bench import Bench
-from mcrim_mitsuba.reference.flight import Flights, PhotonArrays, Record, head_on
-from mcrim_mitsuba.reference.geometry import FATES, FIRST_FATE, REGIONS, Floats, Place
+from mcrim_mitsuba.core.numbers import MM_PER_CM, Value
+from mcrim_mitsuba.reference import walk
+from mcrim_mitsuba.reference.compiling import say_if_slow
+from mcrim_mitsuba.reference.faces import FacedBench, Floats
+from mcrim_mitsuba.reference.scene_bench import read_bench
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+
+#: Flights after which a photon is given up, where nothing is said of it.
+MOST_FLIGHTS = 2000
+#: Photons that a thread follows at a time.
+_BLOCK = 16_384
+_FATES = {
+    walk.DETECTED: "detected",
+    walk.APERTURE: "absorbed_aperture",
+    walk.REFLECTOR: "absorbed_reflector",
+    walk.SURFACE: "absorbed_surface",
+    walk.ESCAPED: "escaped",
+    walk.TRUNCATED: "truncated",
+    walk.LOST: "lost",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +64,8 @@ class DetectedHistories:
     arrival_cosine: Floats
     #: (detected,) float64: Distance from the axis at which the photon was detected.
     arrival_radius_mm: Floats
+    #: (detected,) str: Id of the detector.
+    detector: NDArray[np.str_]
 
 
 @dataclass(frozen=True)
@@ -56,6 +78,9 @@ class FateCounts:
     counts: dict[str, int]
     #: Part that the detector detects of what arrives head-on; it was calibrated so.
     head_on: float = field(default=1.0, kw_only=True)
+    #: Detected photons by the ids of detectors, and the one that eta is of; empty: of all.
+    detectors: dict[str, int] = field(default_factory=dict, kw_only=True)
+    read: str = field(default="", kw_only=True)
 
     @property
     def budget(self) -> dict[str, float]:
@@ -70,31 +95,35 @@ class FateCounts:
         Beta(k + 1, n - k + 1): sqrt(k (n - k) / n^3) for large counts, and
         about 1/n rather than 0 when no photon, or every one, met that fate.
         """
+        return {fate: self._sigma(count) for fate, count in self.counts.items()}
+
+    def _sigma(self, count: int) -> float:
         n = self.photons
-        return {
-            fate: ((k + 1) * (n - k + 1) / ((n + 2) ** 2 * (n + 3))) ** 0.5
-            for fate, k in self.counts.items()
-        }
+        return float(((count + 1) * (n - count + 1) / ((n + 2) ** 2 * (n + 3))) ** 0.5)
+
+    @property
+    def _counted(self) -> int:
+        return self.detectors[self.read] if self.read else self.counts["detected"]
 
     @property
     def eta(self) -> float:
         """Light collection efficiency: detected over emitted, relative to light head-on."""
-        return self.budget["detected"] / self.head_on
+        return self._counted / self.photons / self.head_on
 
     @property
     def eta_sigma(self) -> float:
         """Standard deviation of `eta`."""
-        return self.budget_sigma["detected"] / self.head_on
+        return self._sigma(self._counted) / self.head_on
 
 
 @dataclass(frozen=True)
 class TracerResult(FateCounts):
     """Every photon's fate, counted.
 
-    The fates: detected, absorbed_crystal, absorbed_gap, absorbed_window, absorbed_aperture,
-    absorbed_reflector, absorbed_surface (losses at the crystal's faces and what the detector
-    refuses), escaped, truncated (still on their way after the largest number of flights) and lost
-    (numerically astray: an error of ours if it is not 0).
+    The fates: detected, absorbed_aperture, absorbed_reflector, absorbed_surface (losses at the
+    crystal's faces and what the detector refuses), escaped, truncated (still on their way after
+    the largest number of flights), lost (numerically astray: an error of ours if it is not 0) and
+    ``absorbed_`` with the name of each volume.
     """
 
     #: None unless asked for. Results are compared without them.
@@ -112,90 +141,86 @@ def whole_number(name: str, value: Any, lowest: int) -> int:
 
 
 def trace(
-    bench: Bench,
+    bench: str | Path | SceneFile | FacedBench,
     photons: int,
     seed: int,
     *,
-    max_depth: int = 2000,
-    batch: int = 20_000,
+    overrides: Mapping[str, Value] | None = None,
+    max_depth: int | None = None,
     histories: bool = False,
+    threads: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> TracerResult:
     """Trace photons from birth to fate: analog Monte Carlo, one fate each.
 
-    The same seed, photons and batch give the same counts (with the same NumPy build, up to rounding
-    at a decision). After `max_depth` straight flights a photon counts as truncated: light that
-    total reflection traps in a clear crystal ends so. A `batch` of photons is under way at the same
-    time; memory grows with it and not with `photons` (but `histories`, which keep what the detected
-    ones went through, take 44 bytes each). `progress` is called now and then with the number of
-    photons done, at last with `photons`.
+    The bench is a sound scene, whose parameters `overrides` may change, or given by its faces. The
+    same seed gives the same fates whatever the threads (all processors, if not given): each photon
+    has a generator of its own. After `max_depth` straight flights (what the scene says, else 2000)
+    a photon counts as truncated: light that total reflection traps in a clear crystal ends so.
+    `histories`, what the detected ones went through, take 60 bytes each. `progress` is called now
+    and then with the number of photons done, at last with `photons`.
 
-    Raises InputError if one of the whole numbers is none, or too small.
+    Raises InputError if the tracer does not know a part of the scene, which it names, or one of the
+    whole numbers is none, or too small.
     """
-    photons = whole_number("photons", photons, 1)
-    seed = whole_number("seed", seed, 0)
+    photons, seed = whole_number("photons", photons, 1), whole_number("seed", seed, 0)
+    if not isinstance(bench, FacedBench):
+        bench = read_bench(read_scene(bench, overrides))
+    if max_depth is None:
+        max_depth = bench.most_flights or MOST_FLIGHTS
     max_depth = whole_number("max_depth", max_depth, 1)
-    batch = whole_number("batch", batch, 1)
+    say_if_slow()
+    tables, birth = bench.tables()
+    root = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
 
-    flights = Flights(bench, np.random.Generator(np.random.PCG64(seed)), histories)
-    counts, detected = _follow(flights, photons, max_depth, batch, progress)
-    fates = {name: int(counts[place]) for place, name in FATES.items()}
+    def block(first: int) -> tuple[Counter[int], Counter[int], Floats]:
+        """Fates, detections by surface, and records of the detected, of photons from one on."""
+        count = min(_BLOCK, photons - first)
+        fates, records = np.empty(count, np.int64), np.empty((count, walk.RECORDED))
+        # the generator's words overflow, as they shall
+        with np.errstate(over="ignore"):
+            rng, number = np.empty(1, np.uint64), np.uint64(first)
+            walk.follow(
+                tables, birth, rng, root, number, max_depth, bench.polarised, fates, records
+            )
+        detected = records[fates == walk.DETECTED]
+        places = Counter(detected[:, walk.PLACE].astype(int).tolist())
+        return Counter(fates.tolist()), places, detected if histories else detected[:0]
+
+    fates, places, records, done = Counter[int](), Counter[int](), [], 0
+    pool = ThreadPoolExecutor(threads or os.cpu_count() or 1)
+    try:
+        for own_fates, own_places, detected in pool.map(block, range(0, photons, _BLOCK)):
+            fates += own_fates
+            places += own_places
+            records.append(detected)
+            done += sum(own_fates.values())
+            if progress is not None:
+                progress(done)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    counts = {name: fates[fate] for fate, name in _FATES.items()}
+    for number, volume in enumerate(bench.volume_names[1:], start=1):
+        counts[f"absorbed_{volume}"] = fates[walk.ABSORBED + number]
     return TracerResult(
-        photons, seed, fates, _histories(detected) if histories else None, head_on=head_on(bench)
+        photons,
+        seed,
+        counts,
+        _histories(np.concatenate(records), bench.detectors) if histories else None,
+        head_on=bench.head_on,
+        detectors={name: places[number] for number, name in bench.detectors.items()},
+        read=bench.read,
     )
 
 
-def _follow(
-    flights: Flights,
-    photons: int,
-    max_depth: int,
-    batch: int,
-    progress: Callable[[int], None] | None,
-) -> tuple[NDArray[np.int64], list[Floats]]:
-    """How many photons met each fate (`Place`); and of the detected `Record`, cosine, radius."""
-    counts = np.zeros(len(Place), dtype=np.int64)
-    detected: list[Floats] = [np.zeros((len(Record) + 2, 0))]
-    # photons under way, by the region that they are to fly in
-    waiting: dict[Place, list[PhotonArrays]] = {region: [] for region in REGIONS}
-    emitted = 0
-    while emitted < photons or any(waiting.values()):
-        crowds = {region: sum(map(len, groups)) for region, groups in waiting.items()}
-        under_way = sum(crowds.values())
-        # newborn photons keep the arrays long: short ones cost NumPy as much
-        if emitted < photons and under_way <= batch // 2:
-            if progress is not None and emitted > under_way:
-                progress(emitted - under_way)
-            newborn = min(batch - under_way, photons - emitted)
-            waiting[flights.birthplace].append(flights.births(newborn))
-            crowds[flights.birthplace] += newborn
-            emitted += newborn
-        # the largest crowd goes on: photons are independent of each other
-        region = max(REGIONS, key=crowds.__getitem__)
-        flock, waiting[region] = PhotonArrays.join(waiting[region]), []
-        place = flights.fly(region, flock)
-        place[(place < FIRST_FATE) & (flock.flights >= max_depth)] = Place.TRUNCATED
-        here = np.bincount(place, minlength=len(Place))
-        counts += here
-        for region in REGIONS:
-            if here[region]:
-                waiting[region].append(flock.take(np.flatnonzero(place == region)))
-        if flock.record is not None and here[Place.DETECTED]:
-            arrived = flock.take(np.flatnonzero(place == Place.DETECTED))
-            assert arrived.record is not None  # as of all
-            detected.append(np.vstack((arrived.record, flights.arrivals(arrived))))
-    if progress is not None:
-        progress(photons)
-    return counts, detected
-
-
-def _histories(detected: list[Floats]) -> DetectedHistories:
-    """Records of detected photons, joined of the (quantities, photons) arrays of every crowd."""
-    *record, cosine, radius = np.concatenate(detected, axis=1)
+def _histories(records: Floats, detectors: dict[int, str]) -> DetectedHistories:
+    """Of rows of records."""
     return DetectedHistories(
-        scatterings=record[Record.SCATTERINGS].astype(np.int32),
-        path_cm=record[Record.PATH] / MM_PER_CM,
-        scattering_path_cm=record[Record.SCATTERING_PATH] / MM_PER_CM,
-        mask_radius_mm=record[Record.MASK_RADIUS],
-        arrival_cosine=cosine,
-        arrival_radius_mm=radius,
+        scatterings=records[:, walk.SCATTERINGS].astype(np.int32),
+        path_cm=records[:, walk.PATH] / MM_PER_CM,
+        scattering_path_cm=records[:, walk.SCATTERING_PATH] / MM_PER_CM,
+        mask_radius_mm=records[:, walk.MASK_RADIUS],
+        arrival_cosine=records[:, walk.COSINE],
+        arrival_radius_mm=records[:, walk.RADIUS],
+        detector=np.array([detectors[int(n)] for n in records[:, walk.PLACE]], dtype=np.str_),
     )

@@ -52,10 +52,10 @@ class WrappingFilm:
 def film_before(model: SceneModel, crystal: Solid) -> WrappingFilm | None:
     """The film around a crystal, or None where there is none, or light must go from face to face.
 
-    - Faces are polished interfaces with the outside, each alone in its plane; what else happens to
-      light from inside is decided before it crosses them.
-    - Walls stand in the outside, are all alike and equally far away, and each is a whole side of
-      what they enclose; a round one has the axis of the crystal's.
+    - Faces are polished interfaces with the outside, each alone in its plane, and walls before them
+      likewise; what else happens to light from inside is decided before it crosses them.
+    - Walls stand in the outside, are all alike and equally far away, and are whole sides of what
+      they enclose; a round one has the axis of the crystal's.
     - Nothing else stands in there.
     """
     faces, slack = model.flat_faces, slack_of(model)
@@ -85,12 +85,14 @@ def film_before(model: SceneModel, crystal: Solid) -> WrappingFilm | None:
         (number, *others) = plane.faces
         if others or not _is_plain(model.surfaces[faces[number].surface], crystal.volume):
             continue
-        outwards = faces[number].normal
+        outwards, before = faces[number].normal, []
         for wall in walls:
             away = (faces[wall].corners - faces[number].corner) @ outwards
             if -outwards @ faces[wall].normal >= _PARALLEL and away.min() > slack:
-                pairs[number] = wall
-                distances.append(float(away.mean()))
+                before.append((wall, float(away.mean())))
+        if len(before) == 1:
+            pairs[number] = before[0][0]
+            distances.append(before[0][1])
     for number in crystal.walls if mantles else ():
         if _is_plain(model.surfaces[model.walls[number].surface], crystal.volume):
             pairs[len(faces) + number] = len(faces) + model.walls.index(mantles[0])
@@ -139,7 +141,7 @@ def _enclosed_round(
 
 
 def _enclosed_by(model: SceneModel, walls: list[int]) -> Solid | None:
-    """What flat walls enclose, if each is a whole side of it."""
+    """What flat walls enclose, if they are whole sides of it."""
     faces, slack = model.flat_faces, slack_of(model)
     if any(faces[number].circle is not None for number in walls):
         return None
@@ -151,12 +153,16 @@ def _enclosed_by(model: SceneModel, walls: list[int]) -> Solid | None:
     for simplex, equation in zip(hull.simplices, np.round(hull.equations, 6) + 0.0, strict=True):
         side = tuple(equation.tolist())
         sides[side] = sides.get(side, 0.0) + _area(hull.points[simplex])
+    covered = dict.fromkeys(sides, 0.0)
     for number in walls:
         face = faces[number]
-        beyond = [np.abs(face.corners @ side[:3] + side[3]).max() for side in sides]
-        area = list(sides.values())[int(np.argmin(beyond))]
-        if min(beyond) > 10.0 * slack or abs(area - face.area) > 1e-3 * area:
+        beyond = {s: np.abs(face.corners @ s[:3] + s[3]).max() for s in sides}
+        nearest = min(beyond, key=beyond.__getitem__)
+        if beyond[nearest] > 10.0 * slack:
             return None
+        covered[nearest] += face.area
+    if any(area and abs(sides[side] - area) > 1e-3 * area for side, area in covered.items()):
+        return None
     bounds = []
     for *normal, level in sides:
         largest = max(map(abs, normal))

@@ -218,19 +218,19 @@ def _scalar(coupling: str, *, program: Path, unfold: bool = False) -> Sampler:
     return run
 
 
-def trace_timed(bench: Bench, photons: int, seed: int) -> tuple[TracerResult, float]:
-    """The NumPy tracer, and the processor time that it took in this process, s."""
+def trace_timed(n_gap: float, photons: int, seed: int) -> tuple[TracerResult, float]:
+    """The independent tracer, and the processor time that it took in this process, s."""
     begin = time.process_time()
-    found = trace(bench, photons, seed)
+    found = trace(SCENE, photons, seed, overrides={"n_gap": n_gap}, threads=1)
     return found, time.process_time() - begin
 
 
 def _numpy(coupling: str, *, pool) -> Sampler:
-    bench = Bench(n_gap=COUPLINGS[coupling])
+    n_gap = COUPLINGS[coupling]
 
     def run(photons: int, seed: int) -> Sample:
         share = -(-photons // _CORES)
-        jobs = [(bench, share, seed * _CORES + core) for core in range(_CORES)]
+        jobs = [(n_gap, share, seed * _CORES + core) for core in range(_CORES)]
         begin = time.perf_counter()
         parts, processor_s = zip(*pool.starmap(trace_timed, jobs, chunksize=1), strict=True)
         seconds = time.perf_counter() - begin

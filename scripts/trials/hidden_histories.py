@@ -1,4 +1,4 @@
-"""Photon histories of the NumPy tracer on what a laboratory can mount, with effects in the bench.
+"""Photon histories of the independent tracer on what a laboratory can mount, with effects.
 
 Every mounting (liquid, crystal, gap) of a case is traced once, with a mask that leaves the whole
 plate free and at a few scattering coefficients; the histories are then weighted to any coefficients
@@ -20,14 +20,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from bench_scene import FILLED_ONLY, bench_scene, unlike
 from numpy.typing import NDArray
 from shared import TRACER_CODE, source_hash
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.files import make_folder, write_bytes
-from mcrim_mitsuba.efficiency.bench import FILLED_ABOVE, Bench
-from mcrim_mitsuba.reference.flight import head_on
+from mcrim_mitsuba.reference.scene_bench import read_bench
 from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.scene.check_text import is_filled
 from trials.executor import TrialExecutor
 
 #: Columns of a design, in the order of a row.
@@ -74,20 +75,11 @@ PHOTONS = 80_000
 _SHARE = {4.0: 2}
 #: Factor on the photons of the plain bench, which many trials share.
 PLAIN_FACTOR = 6
-#: Parameters that mean nothing where the gap is not filled.
-FILLED_ONLY = (
-    "gap_index_offset",
-    "gap_absorption_per_cm",
-    "bubble_fraction",
-    "bubble_area_fraction",
-    "collar_mm",
-    "narrow_collar_mm",
-)
 #: Radius that leaves the whole plate free, mm, wherever the mask is shifted to.
 _OPEN_MM = 25.0
 _APERTURES = tuple(sorted({row[1] for row in POOL}))
 
-#: What is hidden: changes of the bench, by `Bench` field, or by one of the values of a column:
+#: What is hidden: changes of the bench, by parameter, or by one of the values of a column:
 #: ``gap_mm=0.05``.
 Changes = Mapping[str, float | bool]
 
@@ -125,7 +117,7 @@ def draw_design(rng: np.random.Generator, among: Design = ()) -> Design:
 class Run:
     """A simulation: what its histories depend on, and nothing else.
 
-    The bench's fields are those that are not at their default, sorted; neither the aperture nor
+    The bench's parameters are those that are not the article's, sorted; neither the aperture nor
     the coefficients are among them. Photons are per proposal.
     """
 
@@ -135,8 +127,8 @@ class Run:
     seed: int
 
     @property
-    def fields(self) -> dict[str, float | bool]:
-        """Those of `Bench`."""
+    def parameters(self) -> dict[str, float | bool]:
+        """Those of the scene."""
         return {name: value for name, value in self.bench if "=" not in name}
 
     @property
@@ -198,7 +190,7 @@ class Histories:
         eta = sums.sum(axis=0) / photons
         variance = (squares - sums**2 / photons).sum(axis=0) / photons**2
         # detectors are calibrated head-on
-        calibration = head_on(Bench(**self.run.fields))
+        calibration = read_bench(bench_scene(**self.run.parameters)).head_on
         return eta / calibration, np.sqrt(variance) / calibration
 
 
@@ -229,17 +221,15 @@ class HistoryStore:
             if "=" not in name or name in others
         }
         parameters = {**own, **changes}
-        if mounting.n_gap <= FILLED_ABOVE:
+        if not is_filled(mounting.n_gap):
             parameters = {n: v for n, v in parameters.items() if n not in FILLED_ONLY}
-        bench, plain = asdict(Bench(**parameters)), asdict(Bench())
-        unlike = tuple(sorted((n, v) for n, v in bench.items() if v != plain[n]))
         # a mask is cut out of the histories
-        unlike += tuple(of_masks.items())
-        is_plain = all(own.get(name) == value for name, value in unlike)
+        bench = unlike(parameters) + tuple(of_masks.items())
+        is_plain = all(own.get(name) == value for name, value in bench)
         smallest = min(row[1] for row in POOL if mounting_of(row) == mounting)
         share = _SHARE.get(smallest, 1) * (PLAIN_FACTOR if is_plain else 1)
         proposals = PLAIN_PROPOSALS_PER_CM if is_plain else PROPOSALS_PER_CM
-        return Run(unlike, proposals, self._photons * share, self._seed)
+        return Run(bench, proposals, self._photons * share, self._seed)
 
     def missing(self, cases: Iterable[Changes]) -> list[Run]:
         """Runs that have no file yet, each once."""
@@ -326,13 +316,13 @@ def trace_to_file(file: Path, run: Run) -> int:
     """Trace a run and write its file; returns the photons traced."""
     columns: dict[str, list[NDArray]] = {}
     for proposal, seed in zip(run.proposals_per_cm, run.seeds(), strict=True):
-        bench = Bench(
+        scene = bench_scene(
             aperture_radius_mm=_OPEN_MM,
             alpha_scat_per_cm=proposal,
             alpha_abs_per_cm=ABSORPTION_PER_CM,
-            **run.fields,
+            **run.parameters,
         )
-        found = trace(bench, run.photons, seed, histories=True).histories
+        found = trace(scene, run.photons, seed, histories=True, threads=1).histories
         hole = np.searchsorted(run.apertures_mm, found.mask_radius_mm).astype(np.uint8)
         kept = hole < len(_APERTURES)
         for name, part in {

@@ -34,6 +34,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from bench_scene import FILLED_ONLY, USUAL, bench_scene
 from numpy.polynomial import chebyshev
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares
@@ -43,13 +44,12 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.files import plain, write_text
 from mcrim_mitsuba.effects.effect import WRONG, Effect
-from mcrim_mitsuba.efficiency.bench import FILLED_ABOVE, NOT_IN_A_BEAM, Bench
 from mcrim_mitsuba.inference.judgement import UNEXPLAINED
 from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.scene.check_text import is_filled
 from trials.hidden_histories import (
     COLUMNS,
     EDGE,
-    FILLED_ONLY,
     POOL,
     Design,
     HistoryStore,
@@ -130,7 +130,7 @@ FURTHER_PHOTONS = 6_000_000
 
 
 class HiddenEffect(NamedTuple):
-    """A field of `Bench`, or the own name of an effect of the readings; sizes it is hidden with."""
+    """A parameter of the bench, or an effect of the readings; sizes it is hidden with."""
 
     parameter: str
     sizes: tuple[float | bool, ...]
@@ -199,7 +199,7 @@ def draw_truth(rng: np.random.Generator) -> Truth:
 
 
 def changes_of(hidden: Hidden) -> dict[str, float | bool]:
-    """What is hidden, as fields of `Bench`."""
+    """What is hidden, as parameters of the bench."""
     return {_ALL[name].parameter: size for name, size in hidden if name not in OF_READINGS}
 
 
@@ -210,7 +210,7 @@ def size_in_units(effect: str, size: float, signal: Array) -> float:
     """
     if effect == f"{WRONG}{_ALL[effect].parameter}":
         name, _, value = _ALL[effect].parameter.partition("=")
-        return size - (float(value) if value else getattr(Bench(), name))
+        return size - float(value or USUAL.get(name, 0.0))
     if effect == "background":
         return size * float(signal.min())
     if effect == "nonlinearity":
@@ -250,15 +250,14 @@ def readings_of(store: HistoryStore, hidden: Hidden, truth: Truth, design: Desig
 
 def with_transmittance(readings: Readings, hidden: Hidden, truth: Truth, seed: int) -> Readings:
     """Readings with the transmittance of the same crystal, without error of measurement, last."""
-    seen = {n: value for n, value in changes_of(hidden).items() if n not in NOT_IN_A_BEAM}
-    beam = Bench(
+    beam = bench_scene(
         alpha_scat_per_cm=truth.alpha_scat_per_cm,
         alpha_abs_per_cm=truth.alpha_abs_per_cm,
         beam_diameter_mm=BEAM_DIAMETER_MM,
         acceptance_deg=ACCEPTANCE_DEG,
-        **seen,
+        **changes_of(hidden),
     )
-    found = trace(beam, BEAM_PHOTONS, seed)
+    found = trace(beam, BEAM_PHOTONS, seed, threads=1)
     sigma = math.hypot(TRANSMITTANCE_SIGMA * found.eta, found.eta_sigma)
     return replace(
         readings,
@@ -754,10 +753,10 @@ def measured(trial: Trial, proposed: Sequence[Mapping]) -> tuple[Design, Array, 
             in_beam = found.signal * noise, found.sigma
             continue
         values = _USUAL | {name: float(each[name]) for name in each if name in _USUAL}
-        filled = values["n_gap"] > FILLED_ABOVE
+        filled = is_filled(values["n_gap"])
         here = {n: v for n, v in changes.items() if filled or n not in FILLED_ONLY}
-        bench = Bench(**values, **coefficients, **here)
-        found = trace(bench, FURTHER_PHOTONS, int(rng.integers(2**31)))
+        scene = bench_scene(**values, **coefficients, **here)
+        found = trace(scene, FURTHER_PHOTONS, int(rng.integers(2**31)), threads=1)
         position = 0.5 + (len(design) + 1 - len(trial.design)) / (len(trial.design) - 1)
         row, light = tuple(values.values()), np.array([trial.truth.scale * found.eta])
         read, slope = distort(own, light, (row,), np.array([position]))

@@ -1,4 +1,4 @@
-"""Mitsuba against closed forms, the NumPy tracer and Geant4, on more than a hundred benches.
+"""Mitsuba against closed forms, the independent tracer and Geant4, on more than a hundred benches.
 
     python scripts/validate                     # some 20 minutes on two idle cores
     python scripts/validate --precision 0.5%    # a few minutes; rougher

@@ -57,7 +57,7 @@ PHASE = "its polarisation leaves out the phase of total reflection: another mode
     type=options.Precision(),
     default="0.2%",
     show_default=True,
-    help="Of eta in the NumPy tracer and in Geant4.",
+    help="Of eta in the independent tracer and in Geant4.",
 )
 @options.seed
 @click.option(
@@ -93,7 +93,7 @@ PHASE = "its polarisation leaves out the phase of total reflection: another mode
 @click.option("--log", metavar="FILE", help="Append the progress to this file.")
 @options.json_output
 def main(precision, seed, processes, page, only, units_file, log, json_file) -> int:
-    """Compare Mitsuba with closed forms, the solver without photons, the NumPy tracer and Geant4.
+    """Compare Mitsuba with closed forms, the noise-free solver, the independent tracer and Geant4.
 
     Geant4 is left out where it is not installed.
     """
@@ -225,12 +225,12 @@ class Comparison:
         return found | {"our code": ", ".join(sources)}
 
     def _goes_to_geant4(self, case: Case) -> bool:
-        bench, why = case.bench(), PHASE
+        why = PHASE
         if not is_installed():
             why = "it is not installed"
-        elif not bench.polarization:
+        elif not case.parameters.get("polarization"):
             try:
-                refuse_bench(bench)
+                refuse_bench(case.bench())
                 return True
             except InputError as error:
                 why = error.problem

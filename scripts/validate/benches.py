@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import tomllib
 from dataclasses import dataclass, field
@@ -43,7 +42,7 @@ def home(effect: str) -> SceneFile:
 
 @dataclass(frozen=True)
 class Case:
-    """A bench, described to both programs from the same numbers.
+    """A bench, a scene for Mitsuba and for the tracer, which reads its text.
 
     `parameters` differ from those of the scene file. An effect may be added to it, of a `size`
     (the effect's parameters). Groups: ``plain``, ``polarised``, ``wrapped``, ``effect`` and
@@ -70,11 +69,11 @@ class Case:
 
     @functools.cached_property
     def described(self) -> str:
-        """All numbers of the bench."""
-        return repr(dataclasses.astuple(self.bench()))
+        """Tells the bench from all others."""
+        return self.scene_file().content_hash
 
     def scene_file(self) -> SceneFile:
-        """The bench for Mitsuba."""
+        """The bench."""
         scene = home(self.effect) if self.scene == _PLAIN else read_scene(SCENES / self.scene)
         if self.effect and not (self.size and set(self.size) <= set(scene.parameters)):
             scene = scene.edited(add(self.effect, scene, self.size))
@@ -83,11 +82,8 @@ class Case:
         return scene.with_overrides({**self._of_group, **self.parameters, **self.size})
 
     def bench(self) -> Bench:
-        """The bench for the other programs, which share no code with Mitsuba's scene."""
-        switch = {} if self.size or not self.effect else {self.effect: True}
-        own = self.group == "wrapped" or self.effect in _TABLES["homes"]
-        of_scene = self.scene_file().parameters if own else self._of_group
-        return Bench.from_parameters({**of_scene, **self.parameters, **self.size, **switch})
+        """The bench for programs that know no scenes; InputError if it is more than they know."""
+        return Bench.from_parameters({**self.parameters, **self.size})
 
     @property
     def _of_group(self) -> dict[str, float]:

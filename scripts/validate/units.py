@@ -122,11 +122,12 @@ def do(unit: Unit) -> dict[str, Any]:
         return {"value": value, "sigma": sigma}
     if unit.program == MITSUBA:
         return _do_mitsuba(unit)
-    bench = unit.case.bench()
     if unit.program == NUMPY:
-        found = trace(bench, unit.photons, unit.own_seed, max_depth=MAX_DEPTH)
+        scene = scene_of(unit.case)
+        found = trace(scene, unit.photons, unit.own_seed, max_depth=MAX_DEPTH, threads=1)
         return {"photons": found.photons, "counts": found.counts}
     # the light of the other programs is unpolarised
+    bench = unit.case.bench()
     found = trace_geant4(bench, unit.photons, unit.own_seed, threads=1, depolarize=True)
     return {"photons": found.photons, "counts": found.counts, "version": found.version}
 

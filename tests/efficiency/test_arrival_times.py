@@ -14,10 +14,8 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.efficiency import time_distribution as distribution
 from mcrim_mitsuba.efficiency.arrival_times import MM_PER_PS
-from mcrim_mitsuba.efficiency.noise_free import bench_of
 from mcrim_mitsuba.optics.materials import material
 from mcrim_mitsuba.reference.tracer import trace
-from mcrim_mitsuba.transport.simulation import Simulation
 
 cases = cases_of(__file__)
 
@@ -149,7 +147,7 @@ def test_first_of_many_from_another_depth_in_every_event():
 def test_crystal_paths_are_those_of_the_other_tracer():
     found = mcrim.arrival_times(BENCH, group_index={"crystal": 2.08}, photons=1_000_000, seed=2)
     (crystal,) = (one for one in found.parts if one.name == "crystal")
-    own = trace(bench_of(Simulation(BENCH)), 60_000, 3, histories=True).histories
+    own = trace(BENCH, 60_000, 3, histories=True).histories
     assert own is not None
     times = own.path_cm * 10.0 * 2.08 / MM_PER_PS
     error = np.hypot(times.std() / np.sqrt(len(times)), crystal.mean_ps_sigma)

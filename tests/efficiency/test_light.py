@@ -17,7 +17,6 @@ from scipy.stats import chi2
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.lighting import follow_light
 from mcrim_mitsuba.output.light_figures import draw_arrival, draw_fates
 from mcrim_mitsuba.reference.tracer import trace
@@ -112,9 +111,8 @@ def test_errors_tell_how_far_two_runs_differ(scenes, lights):
 def test_the_numpy_tracer_finds_the_same(case, scenes, lights):
     """Chi2 over rings and over angles at 0.1 %: false alarms 0.4 % in all."""
     light = lights[case]
-    parameters = read_scene(scenes / "camoo4.xml", CASES[case][0]).parameters
-    photons = 150_000
-    found = trace(Bench.from_parameters(parameters), photons, 8, histories=True).histories
+    scene, photons = read_scene(scenes / "camoo4.xml", CASES[case][0]), 150_000
+    found = trace(scene, photons, 8, histories=True).histories
     angle = np.degrees(np.arccos(np.minimum(found.arrival_cosine, 1.0)))
     for ours, edges, theirs in (
         (light.radius, light.radius_edges_mm, found.arrival_radius_mm),

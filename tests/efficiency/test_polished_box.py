@@ -171,7 +171,7 @@ def test_photons_agree(changed, eta, sigma, photons, seed):
 @cases("changed", "name")
 def test_what_it_does_not_know_is_refused_in_a_line(changed, name):
     with pytest.raises(InputError, match=name) as refused:
-        solve_box(Bench(**changed))
+        solve_box(Bench.from_parameters(changed))
     assert "\n" not in str(refused.value)
     assert "simulate photons" in str(refused.value)
 

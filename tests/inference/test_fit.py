@@ -12,6 +12,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from bench_scene import bench_scene
 from formula_surfaces import FormulaSurface, air, couplings, gel, of_index
 from places import cases_of
 from refusals import refusal
@@ -21,7 +22,6 @@ from trials.surface_model import CampaignModel, InterpolatedSurface, axes_for
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.eta_grid import Grid
 from mcrim_mitsuba.efficiency.eta_surface import EtaSurface
 from mcrim_mitsuba.efficiency.proposals import choose_proposals
@@ -182,7 +182,7 @@ def test_reweighted_surface_against_direct_tracing():
     proposals, a_0, photons = (0.06, 0.25, 1.0), 0.03, 25_000
     parts = []
     for j, a_s in enumerate(proposals):
-        bench = Bench(alpha_scat_per_cm=a_s, alpha_abs_per_cm=a_0)
+        bench = bench_scene(alpha_scat_per_cm=a_s, alpha_abs_per_cm=a_0)
         seen = trace(bench, photons, seed=10 + j, histories=True).histories
         # the tracer does not say which photon was which: any independent batches will do
         batch = np.random.default_rng(j).integers(0, 250, len(seen.path_cm))
@@ -196,7 +196,7 @@ def test_reweighted_surface_against_direct_tracing():
     targets = [(0.03, 0.039), (0.12, 0.014), (0.54, 0.0), (0.54, 0.039), (0.54, 0.5), (1.3, 0.072)]
     for number, (a_s, a_a) in enumerate(targets):
         point = surface.evaluate(a_s, a_a)
-        bench = Bench(alpha_scat_per_cm=a_s, alpha_abs_per_cm=a_a)
+        bench = bench_scene(alpha_scat_per_cm=a_s, alpha_abs_per_cm=a_a)
         direct = trace(bench, 30_000, seed=30 + number)
         z = (point.eta - direct.eta) / math.hypot(point.sigma, direct.eta_sigma)
         assert abs(z) < 4.2, (a_s, a_a, point, direct.eta)

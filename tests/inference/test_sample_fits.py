@@ -5,13 +5,13 @@ Statistical tests have fixed seeds and state their false-alarm level.
 
 import numpy as np
 import pytest
+from bench_scene import bench_scene
 from places import SCENES
 from scipy.stats import chi2
 from trials.formula_bench import explanations_of
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.reference.tracer import trace
@@ -45,7 +45,7 @@ def test_two_thicknesses_of_a_boule_beside_another_crystal(tmp_path):
     crystals = [("", 2.01, 10, 0.04), ("", 2.01, 3, 0.04), ("b", 1.92, 10, 0.12)]
     for number, (sample, n, height, a_a) in enumerate(crystals):
         for n_gap in (1.0, 1.46):
-            bench = Bench(
+            bench = bench_scene(
                 n_crystal=n,
                 crystal_height_mm=height,
                 alpha_scat_per_cm=0.5,

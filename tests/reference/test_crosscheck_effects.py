@@ -1,24 +1,21 @@
-"""Every effect in the scene against the same effect in the NumPy tracer, which shares no code.
+"""Every effect in the scene against the same effect in the tracer, which shares no code with it.
 
 One size and configuration each at 1 %; `scripts/validate` does all at 0.2 %. z < 4.5: right
 programs fail one of the 22 comparisons in one run of 6000. Beams, and what they shall tell apart,
 are tested all together: right programs fail in one run of 100.
 """
 
-import dataclasses
 import math
 
 import pytest
 from places import cases_of
-from refusals import refusal
 from scipy.special import ndtri
 from validate import benches
 
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add, catalogue
-from mcrim_mitsuba.efficiency.bench import Bench
-from mcrim_mitsuba.efficiency.noise_free import bench_of
 from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL, crosscheck
+from mcrim_mitsuba.reference.scene_bench import read_bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
@@ -40,7 +37,7 @@ def test_effect_is_the_same_in_both_programs(name):
     case = CASES[name]
     ours = Simulation(case.scene_file(), check=False).collect(200_000, seed=21)
     photons = round((1 - ours.eta) / ours.eta / 0.01**2)
-    other = trace(case.bench(), photons, seed=22, max_depth=200_000)
+    other = trace(case.scene_file(), photons, seed=22, max_depth=200_000)
     assert abs(ours.eta - other.eta) < 4.5 * math.hypot(ours.eta_sigma, other.eta_sigma)
 
 
@@ -50,7 +47,7 @@ def test_weak_haze_frees_trapped_light_as_in_both_programs(scenes):
     hazy = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.01, "n_gap": 1.46}
     scene = scene.edited(add("surface_haze", scene, {"rms_roughness_nm": 2.0}))
     ours = Simulation(scene, hazy, check=False).collect(400_000, seed=23)
-    other = trace(Bench(**hazy, rms_roughness_nm=2.0), 40_000, seed=24, max_depth=200_000)
+    other = trace(scene, 40_000, seed=24, overrides=hazy, max_depth=200_000)
     assert abs(ours.eta - other.eta) < 4.5 * math.hypot(ours.eta_sigma, other.eta_sigma)
 
 
@@ -71,7 +68,7 @@ def test_beams_and_rough_faces_are_the_same_in_both_programs():
     scores = {}
     for number, case in enumerate(cases):
         ours = Simulation(case.scene_file(), check=False).collect(2**17, seed=40 + number)
-        other = trace(case.bench(), 20_000, seed=140 + number, max_depth=200_000)
+        other = trace(case.scene_file(), 20_000, seed=140 + number, max_depth=200_000)
         scores[case.name] = (ours.eta - other.eta) / math.hypot(ours.eta_sigma, other.eta_sigma)
     limit = -ndtri(FAMILY_LEVEL / 2 / len(scores))
     assert {name: z for name, z in scores.items() if abs(z) > limit} == {}
@@ -89,25 +86,16 @@ ROUGH = '<float name="roughness_alpha"'
 BECKMANN = f'<string name="distribution" value="beckmann"/>{ROUGH}'
 
 
-def test_the_distribution_of_slopes_is_read_from_the_scene(scenes):
-    bench = read_scene(scenes / "camoo4.xml")
-    text = add("surface_roughness", bench)
-    ggx, beckmann = bench.edited(text), bench.edited(text.replace(ROUGH, BECKMANN))
-    sizes = {"roughness_alpha": 0.3}
-    read = [bench_of(Simulation(scene, sizes)) for scene in (ggx, beckmann)]
-    assert read[1] == dataclasses.replace(read[0], beckmann=True)
-    assert crosscheck(beckmann, sizes, run=Run(10_000, seed=5)).agrees
-
-
-def test_one_distribution_of_slopes_is_for_all_rough_faces(scenes):
+def test_the_distribution_of_slopes_is_read_of_every_face(scenes):
     bench = read_scene(scenes / "camoo4.xml")
     for effect in ("top_roughness", "side_roughness"):
         text = add(effect, bench)
         bench = bench.edited(text)
     mixed = bench.edited(text.replace(ROUGH, BECKMANN, 1))
-    sizes = {"top_roughness_alpha": 0.1, "side_roughness_alpha": 0.1}
-    said = refusal(crosscheck, mixed, sizes, run=Run(1000))
-    assert "one distribution of slopes for all rough faces" in said
+    sizes = {"top_roughness_alpha": 0.3, "side_roughness_alpha": 0.2}
+    rough = [s.optics["beckmann"] for s in read_bench(mixed).surfaces if "beckmann" in s.optics]
+    assert set(rough) == {True, False}
+    assert crosscheck(mixed, sizes, run=Run(20_000, seed=5)).agrees
 
 
 def test_the_shipped_beam_is_compared(scenes):
@@ -121,9 +109,9 @@ def test_the_shipped_beam_is_compared(scenes):
     )
 
 
-@cases("written", "instead", "words")
-def test_a_beam_of_other_numbers_than_its_parameters_is_refused(
-    written, instead, words, scenes, tmp_path
+@cases("written", "instead")
+def test_a_beam_of_other_numbers_than_its_parameters_is_read_as_it_stands(
+    written, instead, scenes, tmp_path
 ):
     text = (scenes / "spectrophotometer.xml").read_text()
     name = written.rpartition("$")[2].rstrip('"')
@@ -132,5 +120,4 @@ def test_a_beam_of_other_numbers_than_its_parameters_is_refused(
     end = text.index("/>", start) + 2
     path = tmp_path / "other.xml"
     path.write_text((text[:end] + " -->" + text[end:]).replace(written, instead))
-    said = refusal(crosscheck, path, run=Run(1000))
-    assert f"bench of spectrophotometer.xml only, and this scene differs from it at {words}" in said
+    assert crosscheck(path, run=Run(20_000, seed=7)).agrees

@@ -13,15 +13,7 @@ import math
 import numpy as np
 import pytest
 from comparisons import assert_compatible
-
-from mcrim_mitsuba.reference.geometry import dot
-from mcrim_mitsuba.reference.interface import (
-    cross,
-    cross_rough,
-    lambertian,
-    random_polarisation,
-    unpolarised_reflectance,
-)
+from many import cross, dot, lambertian, random_polarisation, unpolarised_reflectance
 
 CONTRASTS = [(2.01, 1.0), (1.46, 1.0), (2.01, 1.46), (1.82, 1.0003)]
 ALPHAS = (0.02, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6)
@@ -30,14 +22,14 @@ RINGS = 10
 Z_MAX = 5.2
 
 
-def _hazy(rng, direction, normal, n_in, n_out, rms_nm):
-    options = {"rms_per_wavelength": rms_nm / WAVELENGTH_NM}
-    return cross(rng, direction, normal, n_in, n_out, **options)[:2]
+def _hazy(*arguments_and_rms):
+    *arguments, rms_nm = arguments_and_rms
+    return cross(*arguments, heights=rms_nm / WAVELENGTH_NM)[:2]
 
 
-def _rough(rng, direction, normal, n_in, n_out, alpha, **options):
-    alphas = np.full(n_out.size, alpha)
-    return cross_rough(rng, direction, normal, n_in, n_out, alphas, **options)[:2]
+def _rough(*arguments_and_alpha, **options):
+    *arguments, alpha = arguments_and_alpha
+    return cross(*arguments, alpha=alpha, **options)[:2]
 
 
 def _beckmann(*arguments):
@@ -49,7 +41,7 @@ def _polarised(rng, direction, *arguments):
 
 
 def _rough_and_hazy(*arguments):
-    return _rough(*arguments, rms_per_wavelength=30.0 / WAVELENGTH_NM)
+    return _rough(*arguments, heights=30.0 / WAVELENGTH_NM)
 
 
 @pytest.mark.parametrize(
@@ -73,9 +65,7 @@ def test_isotropic_light_in_equilibrium_stays_so(face, sizes):
         # leave to
         shares = np.zeros((2, 2, RINGS))
         for side, (n_in, n_out) in enumerate((indices, indices[::-1])):
-            outgoing, transmitted = face(
-                rng, lambertian(rng, normal), normal, n_in, np.full(count, n_out), size
-            )
+            outgoing, transmitted = face(rng, lambertian(rng, normal), normal, n_in, n_out, size)
             assert np.array_equal(outgoing[2] > 0.0, transmitted)
             ring = np.minimum(RINGS * outgoing[2] ** 2, RINGS - 1).astype(int)
             np.add.at(shares[side], (np.where(transmitted, 1 - side, side), ring), 1.0 / count)
@@ -99,9 +89,7 @@ def test_a_face_of_no_slope_is_the_smooth_interface(n_in, n_out, beckmann):
     normal = np.repeat([[0.0], [0.6], [0.8]], count, axis=1)
     direction = lambertian(rng, normal)
     cosine = dot(direction, normal)
-    outgoing, transmitted = _rough(
-        rng, direction, normal, n_in, np.full(count, n_out), 1e-9, beckmann=beckmann
-    )
+    outgoing, transmitted = _rough(rng, direction, normal, n_in, n_out, 1e-9, beckmann=beckmann)
     cosine_out = np.sqrt(np.maximum(0.0, 1.0 - (n_in / n_out) ** 2 * (1.0 - cosine**2)))
     mirrored = direction - 2.0 * cosine * normal
     refracted = n_in / n_out * (direction - cosine * normal) + cosine_out * normal
@@ -109,6 +97,6 @@ def test_a_face_of_no_slope_is_the_smooth_interface(n_in, n_out, beckmann):
     # near grazing and critical angles a slope moves more than itself
     np.testing.assert_allclose(outgoing, specular, atol=1e-3)
     np.testing.assert_allclose(np.median(np.abs(outgoing - specular)), 0.0, atol=1e-8)
-    through = 1.0 - unpolarised_reflectance(cosine, n_in, n_out, cosine_out)
+    through = 1.0 - unpolarised_reflectance(cosine, n_in, n_out)
     sigma = math.sqrt(np.sum(through * (1.0 - through))) / count
     assert_compatible(transmitted.mean(), sigma, through.mean(), z_max=Z_MAX)

@@ -4,6 +4,7 @@ import math
 
 import geant4 as geant4_trace
 import pytest
+from bench_scene import bench_scene
 from geant4 import Geant4Error, is_installed, trace_geant4
 
 from mcrim_mitsuba.core.errors import InputError
@@ -21,7 +22,7 @@ needs_geant4 = pytest.mark.skipif(
 @pytest.mark.parametrize("n_gap", [1.0, 1.46])
 def test_geant4_agrees_with_mitsuba_and_numpy(scenes, n_gap):
     ours = Simulation(scenes / "camoo4.xml", {"n_gap": n_gap}).collect(1_000_000, seed=1)
-    numpy = trace(Bench(n_gap=n_gap), PHOTONS, seed=2)
+    numpy = trace(bench_scene(n_gap=n_gap), PHOTONS, seed=2)
     found = trace_geant4(Bench(n_gap=n_gap), PHOTONS, seed=3)
     for other in (ours, numpy):
         z = (found.eta - other.eta) / math.hypot(found.eta_sigma, other.eta_sigma)
@@ -30,9 +31,9 @@ def test_geant4_agrees_with_mitsuba_and_numpy(scenes, n_gap):
 
 @needs_geant4
 def test_every_fate_is_the_same_with_the_mask_under_the_crystal_too():
-    bench = Bench(aperture_radius_mm=3.0, n_gap=1.46)
-    numpy = trace(bench, PHOTONS, seed=4)
-    found = trace_geant4(bench, PHOTONS // 2, seed=5, depolarize=True)
+    numbers = {"aperture_radius_mm": 3.0, "n_gap": 1.46}
+    numpy = trace(bench_scene(**numbers), PHOTONS, seed=4)
+    found = trace_geant4(Bench(**numbers), PHOTONS // 2, seed=5, depolarize=True)
     assert sum(found.counts.values()) == found.photons
     for fate, value in found.budget.items():
         other = "escaped" if fate == "elsewhere" else fate
@@ -69,8 +70,8 @@ def test_a_failure_of_the_process_is_one_line():
 @pytest.mark.parametrize(
     "bench, words",
     [
-        (Bench(wrap_reflectance=0.97), "does not know wrap_reflectance"),
-        (Bench(surface_loss=0.01), "does not know surface_loss"),
+        (Bench(source_depth_mm=2.0), "does not know source_depth_mm"),
+        (Bench(angular_falloff=0.5), "does not know angular_falloff"),
         (Bench(alpha_scat_per_cm=0.0, alpha_abs_per_cm=0.0), "never end"),
     ],
 )

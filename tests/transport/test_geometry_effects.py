@@ -11,12 +11,12 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from bench_scene import bench_scene
 from comparisons import assert_same_fates
 from places import SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.optics.fresnel import reflectance
 from mcrim_mitsuba.output.cross_section import cross_section
 from mcrim_mitsuba.reference.tracer import trace
@@ -190,7 +190,7 @@ def test_a_round_bubble_passes_what_a_film_of_air_does(write):
     expected = 0.5 * kept * passed * np.exp(-0.8 * length) * (np.hypot(*at) < 4.9)
     sigma = expected.std() / np.sqrt(count)
     ours = loaded(write("round"), **numbers).collect(10**6, seed=12)
-    other = trace(Bench(**numbers), 200_000, 13)
+    other = trace(bench_scene(**numbers), 200_000, 13)
     for found in (ours, other):
         assert abs(found.eta - expected.mean()) < Z * np.hypot(found.eta_sigma, sigma)
 
@@ -335,7 +335,7 @@ def test_light_goes_straight_from_wet_sides_to_the_hole(write, index):
     expected = falls * np.exp(-within / 10.0) * (np.hypot(*at) < 7.0)
     sigma = expected.std() / np.sqrt(count)
     ours = loaded(write("creep"), **numbers).collect(400_000, seed=9)
-    other = trace(Bench(**numbers), 100_000, 10)
+    other = trace(bench_scene(**numbers), 100_000, 10)
     for found in (ours, other):
         z = (found.eta - expected.mean()) / np.hypot(found.eta_sigma, sigma)
         assert abs(z) < Z if index == 1.5 else z < -30
@@ -363,7 +363,7 @@ def test_what_comes_back_into_the_liquid_is_lost(write):
         "aperture_radius_mm": 6.0,
     }
     ours = Simulation(scene, numbers, check=False).collect(2**21, seed=15)
-    other = trace(Bench(**numbers), 400_000, 16)
+    other = trace(bench_scene(**numbers), 400_000, 16)
     for fate in ("detected", "escaped"):
         difference = ours.budget[fate] - other.budget[fate]
         assert abs(difference) < Z * np.hypot(ours.budget_sigma[fate], other.budget_sigma[fate])

@@ -8,6 +8,7 @@ seventy comparisons a correct program would fail this file with a probability of
 import drjit as dr
 import numpy as np
 import pytest
+from bench_scene import bench_scene
 from comparisons import assert_compatible, assert_same_light, eta_slope
 from places import cases_of, tables_of
 from scipy.integrate import quad
@@ -15,7 +16,6 @@ from scipy.stats import kstest
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.catalogue import add, catalogue
-from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.optics.emission_band import scattering_of_colours
 from mcrim_mitsuba.optics.thin_film import ThinFilm, cathode_index
 from mcrim_mitsuba.reference.tracer import trace
@@ -196,7 +196,7 @@ def test_colours_scatter_by_their_wavelengths(bench):
     # those of one seed go together: their errors add up
     sigma = sum(part * one.eta_sigma for part, one in zip(parts, each, strict=True))
     assert_compatible(drawn.eta, drawn.eta_sigma, mean, sigma, z_max=Z)
-    known = Bench(alpha_scat_per_cm=alpha_scat, scattering_exponent=4.0, **gap)
+    known = bench_scene(alpha_scat_per_cm=alpha_scat, scattering_exponent=4.0, **gap)
     numpy = trace(known, 60_000, 3)
     assert_compatible(drawn.eta, drawn.eta_sigma, numpy.eta, numpy.eta_sigma, z_max=Z)
 

@@ -11,13 +11,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from bench_scene import bench_scene
 from comparisons import assert_compatible, assert_same_fates, assert_same_light
 from lxml import etree
 from scipy.integrate import dblquad, quad
 from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.optics.fresnel import amplitudes
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport import general_path, surface_physics
@@ -132,10 +132,11 @@ def test_curved_parts_of_the_bench_that_change_nothing(
     numbers = {"n_gap": n_gap, "polarization": polarization}
     bench = simulation(tmp_path, bench_with_curved_parts(scenes), numbers)
     mixed = bench.collect(400_000, seed=4)
-    reference = trace(Bench.from_parameters(numbers), 200_000, 5)
+    reference = trace(bench_scene(**numbers), 200_000, 5)
     # what the tracer lets go, the housing takes
     renamed = {"absorbed_reflector": "escaped", "escaped": "absorbed_reflector"}
     assert_same_light(mixed, reference, z_max=Z, renamed=renamed)
+    assert_same_light(mixed, trace(bench.file, 100_000, 10), z_max=Z)
     monkeypatch.setattr(general_path, "MOST_FACES", 0)
     traced = bench.collect(200_000, seed=6)
     assert mixed.transport != traced.transport
@@ -193,8 +194,8 @@ def test_a_turned_bench_is_the_same_bench(scenes, tmp_path, polarization):
     bench = simulation(tmp_path, turned_bench(scenes), numbers)
     fast = bench.collect(600_000, seed=7)
     assert fast.transport == "fast path for flat faces"
-    reference = trace(Bench.from_parameters(numbers | {"aperture_radius_mm": 400}), 200_000, 8)
-    assert_same_light(fast, reference, z_max=Z)
+    for scene in (bench_scene(**numbers, aperture_radius_mm=400.0), bench.file):
+        assert_same_light(fast, trace(scene, 200_000, 8), z_max=Z)
     assert_same_light(fast, bench.collect(200_000, seed=9, general=True), z_max=Z)
 
 
@@ -209,6 +210,7 @@ def test_a_cube_with_cut_edges_by_either_path_and_in_any_number_of_triangles(tmp
     assert_same_light(fast, traced, z_max=Z)
     fine = simulation(tmp_path, cut_cube(tmp_path, pieces=4), numbers)
     mixed = fine.collect(300_000, seed=12)
+    assert_same_light(mixed, trace(fine.file, 100_000, 13), z_max=Z)
     assert len({fast.transport, traced.transport, mixed.transport}) == 3
     assert_same_light(fast, mixed, z_max=Z)
 
