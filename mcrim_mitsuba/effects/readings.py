@@ -58,7 +58,7 @@ def reading_nonlinearity(signals: np.ndarray, value: float, rows: Rows) -> Predi
 
 
 def plausible_beside_nonlinearity(signals: np.ndarray) -> tuple[float, float]:
-    """A detector that reads its strongest signal a fifth too low, or a tenth too high, is noticed."""
+    """A detector that reads its strongest signal a fifth too low or a tenth too high is noticed."""
     largest = float(signals.max())
     return -0.1 / largest, 0.2 / largest
 
