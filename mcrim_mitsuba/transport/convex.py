@@ -268,10 +268,10 @@ def _axis(normal, corners, axes: list[np.ndarray], tolerance: float) -> np.ndarr
 
 
 class Ray:
-    """A ray, with what the planes of several solids share."""
+    """A ray, with what the planes of several solids share, and light's random numbers."""
 
-    def __init__(self, origin, direction) -> None:
-        self.origin, self.direction = origin, direction
+    def __init__(self, origin, direction, rng=None) -> None:
+        self.origin, self.direction, self.rng = origin, direction, rng
         self._known: dict[tuple[float, ...], tuple] = {}
 
     def along(self, axis: tuple[float, ...], weights: list):

@@ -26,6 +26,7 @@ from mcrim_mitsuba.transport.convex import (
     Ray,
     Solid,
     convex_solids,
+    is_any,
     slack_of,
 )
 from mcrim_mitsuba.transport.film import FilmTrips, film_before
@@ -200,12 +201,13 @@ class FlatPath:
             slack=self._number(self._slack_mm),
         )
 
-    def intersect(self, ray_o, ray_d, last_face, volume):
+    def intersect(self, ray_o, ray_d, last_face, volume, rng=None):
         """Nearest face ahead: distance (Float, mm, infinite where nothing is) and number (UInt32).
 
         A face is met only from the volume that it borders or stands in, and one that is tested
         alone never by a photon that is on it; so a point that rounding has put just behind a face
-        near an edge still meets that face, at a distance of (nearly) zero.
+        near an edge still meets that face, at a distance of (nearly) zero. Where a wrapping touches
+        at random, `rng` tells where it does so next.
         """
         reciprocal = dr.rcp(ray_d)
         offset = ray_o * reciprocal
@@ -214,7 +216,7 @@ class FlatPath:
         endless = self.model.endless
         if endless is not None:
             here[OUTSIDE] |= here[endless]
-        ray = Ray(ray_o, ray_d)
+        ray = Ray(ray_o, ray_d, rng)
         for body in self._bodies:
             best, which = body.meet(ray, best, which, here, last_face)
         for face, (interior, exterior), shape in self._alone:
@@ -278,8 +280,17 @@ class FlatPath:
         film, beyond = self.film, None
         if film is not None:
             beyond = functools.partial(film.go, face=face, rng=rng, active=active)
+        touched = None if self.folded is None else self.folded.touched
         return surface_physics.interact(
-            row, position, direction, field, uniforms, rng, active, beyond
+            row,
+            position,
+            direction,
+            field,
+            uniforms,
+            rng,
+            active,
+            beyond,
+            is_any(face, touched) if touched else None,
         )
 
     def turn_normals(self, row, face, position) -> None:

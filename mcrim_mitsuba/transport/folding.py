@@ -35,13 +35,15 @@ _MARGIN = 1e-6
 def total_from(surface: Surface, volume: int) -> float:
     """Sine squared of the angle of incidence from which on light from a volume is only reflected.
 
-    A face that is rough, hazy, masked, touches a wrapping, takes part of the light, or is no
-    interface of two dielectrics does other things too at any angle: 2 there.
+    A face that is rough, hazy, masked, takes part of the light, or is no interface of two
+    dielectrics does other things too at any angle: 2 there. One that a wrapping touches everywhere
+    with the same probability does so but for that, see `FoldedBody`.
     """
     polished = surface.kind == DIELECTRIC and not (surface.roughness or surface.haze)
     if (
         not polished
-        or surface.contact
+        or surface.contact == 1.0
+        or surface.contact_above_mm > -math.inf
         or surface.surface_loss
         or surface.aperture_radius_mm < math.inf
     ):
@@ -56,7 +58,8 @@ def folded_axes(model: SceneModel, solid: Solid) -> tuple[int, ...]:
     - Nothing stands in the solid that light would meet on its straight way.
     - Two of its planes are across the axis, and all other faces along it: there the angles of
       incidence stay as they are, and so does all that happens later, mirrored.
-    - One of these two planes reflects all light at some angle (`total_from`).
+    - One of these two planes reflects all light at some angle (`total_from`); where a wrapping
+      touches faces of them, it does so to all of a plane, and to both, if so, alike.
     - Scattering is as strong at either of two places that are mirror images along the axis.
 
     Polarised light is not folded, because total reflection turns its field; nor are trails, which
@@ -73,6 +76,8 @@ def folded_axes(model: SceneModel, solid: Solid) -> tuple[int, ...]:
             and (solid.circle is None or solid.circle.axis == axis)
             and not (uneven and axis == 2)
             and min(_all_total_from(model, solid, p.faces) for p in across) < 1.0
+            and None not in (touched := [_contact_of(model, p.faces) for p in across])
+            and len({contact for contact in touched if contact}) < 2
         )
 
     return () if _holds_something(model, solid) else tuple(filter(folds, range(3)))
@@ -88,7 +93,8 @@ def wall_folds(model: SceneModel, solid: Solid) -> bool:
     if solid.circle is None or _holds_something(model, solid):
         return False
     uneven = bool(model.volumes[solid.volume].scattering_gradient) and solid.circle.axis != 2
-    return not uneven and _walls_total_from(model, solid) < 1.0
+    touched = any(model.surfaces[model.walls[number].surface].contact for number in solid.walls)
+    return not uneven and not touched and _walls_total_from(model, solid) < 1.0
 
 
 def _holds_something(model: SceneModel, solid: Solid) -> bool:
@@ -104,6 +110,12 @@ def _all_total_from(model: SceneModel, solid: Solid, faces: Iterable[int]) -> fl
     return max(total_from(model.surfaces[number], solid.volume) for number in surfaces)
 
 
+def _contact_of(model: SceneModel, faces: Iterable[int]) -> float | None:
+    """Probability with which a wrapping touches light at some faces; None where they differ."""
+    contacts = {model.surfaces[model.flat_faces[face].surface].contact for face in faces}
+    return contacts.pop() if len(contacts) == 1 else None
+
+
 def _walls_total_from(model: SceneModel, solid: Solid) -> float:
     surfaces = [model.surfaces[model.walls[number].surface] for number in solid.walls]
     return max(total_from(surface, solid.volume) for surface in surfaces)
@@ -115,7 +127,9 @@ def _walls_total_from(model: SceneModel, solid: Solid) -> float:
 class FoldedBody(ConvexBody):
     """A convex solid in the kernel, in which light flies on over total reflections.
 
-    Flights end `MOST_WIDTHS` away at the latest, at `NO_FACE` where no face is there.
+    Flights end `MOST_WIDTHS` away at the latest, at `NO_FACE` where no face is there. Where a
+    wrapping touches faces, each of these reflections is none with that probability: how many there
+    are before is drawn at once, and the flight ends at a face of `touched` then.
     """
 
     def __init__(self, model: SceneModel, solid: Solid, shape_of, number) -> None:
@@ -123,6 +137,9 @@ class FoldedBody(ConvexBody):
         axes = folded_axes(model, solid)
         planes = {(plane.axis, plane.high): plane for plane in solid.planes}
         self._folded, self._straight, widths = {}, [], []
+        self._contacts: dict[int, tuple] = {}
+        #: Numbers of faces that light meets at an angle of total reflection where it is touched.
+        self.touched: list[int] = []
         for slab in self._slabs:
             axis = next((a for a in axes if slab.axis[a]), None)
             if axis is None:
@@ -133,6 +150,13 @@ class FoldedBody(ConvexBody):
             # not shared where they agree by chance: the kernel must not depend on indices
             totals = [opaque([_all_total_from(model, solid, end.faces)]) for end in ends]
             self._folded[axis] = slab, totals, number(widths[-1]), number(1.0 / widths[-1])
+            contacts = [_contact_of(model, end.faces) or 0.0 for end in ends]
+            if any(contacts):
+                per_log = opaque([1.0 / math.log1p(-max(contacts))])
+                self._contacts[axis] = per_log, *map(bool, contacts)
+                self.touched += [
+                    f for end, c in zip(ends, contacts, strict=True) if c for f in end.faces
+                ]
         self._wall_total = None
         if wall_folds(model, solid):
             assert solid.circle is not None
@@ -160,9 +184,20 @@ class FoldedBody(ConvexBody):
             then_opens = sine2 < dr.select(upwards, totals[0], totals[1])
             t = (dr.select(upwards, high.offset, low.offset) - start) * reciprocal
             t_then = dr.fma(width, dr.abs(reciprocal), t)
-            t = dr.select(opens, t, dr.select(then_opens, t_then, dr.inf))
+            t_open = dr.select(opens, t, dr.select(then_opens, t_then, dr.inf))
             number = dr.select(upwards == opens, mi.UInt32(high.leave), mi.UInt32(low.leave))
-            out.let_out(t < out.out, t, number)
+            out.let_out(t_open < out.out, t_open, number)
+            if axis in self._contacts:
+                per_log, at_low, at_high = self._contacts[axis]
+                # reflections before the one that is none, of those where it could be none
+                missed = dr.floor(dr.log(1.0 - ray.rng.next_float32()) * per_log)
+                if not (at_low and at_high):
+                    # every other one: from the first on, or from the second
+                    missed = 2.0 * missed + dr.select(upwards == mi.Mask(at_high), 0.0, 1.0)
+                t = dr.fma(missed, dr.abs(width * reciprocal), t)
+                first = missed == 2.0 * dr.floor(0.5 * missed)
+                number = dr.select(upwards == first, mi.UInt32(high.leave), mi.UInt32(low.leave))
+                out.let_out(~opens & (t < t_open) & (t < out.out), t, number)
         far = out.out >= self._longest
         out.let_out(far, self._longest, mi.UInt32(NO_FACE))
         if any(side.leave_rows for side in self._sides):
@@ -192,10 +227,12 @@ class FoldedBody(ConvexBody):
             count = mi.UInt32(dr.abs(number))
             # a face that is met is met exactly, by light that flies towards it
             speed, upwards = dr.abs(v), direction[axis] > 0.0
+            level = mi.Int32(dr.round(along * per_width))
+            before = mi.UInt32(dr.select(upwards, level - 1, -level))
             for side, towards in ((low, -speed), (high, speed)):
                 here = is_any(met, [side.leave, *(other for other, _ in side.leave_rows)])
                 x, v = dr.select(here, side.offset, x), dr.select(here, towards, v)
-                count = dr.select(here, mi.UInt32(upwards == (side is low)), count)
+                count = dr.select(here, before, count)
             place[axis] = dr.select(mine, x, place[axis])
             flying[axis] = dr.select(mine, v, direction[axis])
             folds += dr.select(mine, count, 0)

@@ -92,7 +92,7 @@ class GeneralPath:
         self.surfaces_scatter = self._asks_bsdfs or self._tables.may_scatter
         self._context = mi.BSDFContext(mi.TransportMode.Importance)
 
-    def intersect(self, ray_o, ray_d, last_face, volume):
+    def intersect(self, ray_o, ray_d, last_face, volume, rng=None):
         """Nearest surface ahead: distance in mm (Float) and what `interact` needs of it."""
         ray = mi.Ray3f(ray_o, ray_d)
         face = mi.UInt32(NO_FACE)

@@ -239,7 +239,7 @@ class Loop:
         # ---------------- flight: straight to the next scattering or surface
         inside = [p.volume == number for number in range(len(path.model.volumes))]
         a_s, a_a = _here(self._scat, inside), _here(self._absorb, inside)
-        ahead, met = path.intersect(p.o, p.d, p.face, p.volume)
+        ahead, met = path.intersect(p.o, p.d, p.face, p.volume, rng)
         # A volume that is closed has a face ahead in every direction, scattering or not.
         nowhere = ahead == dr.inf
         drawn = dr.detach(a_s)

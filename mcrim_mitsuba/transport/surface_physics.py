@@ -260,7 +260,7 @@ class Encounter:
 
 
 def interact(
-    row, position, direction, field, uniforms, rng=None, active=True, beyond=None
+    row, position, direction, field, uniforms, rng=None, active=True, beyond=None, drawn=None
 ) -> Outcome:
     """Decide a photon's way at a surface, stage by stage.
 
@@ -269,7 +269,8 @@ def interact(
     is followed. Of the `uniforms` (Float) the first is a choice, two are for a diffuse direction
     (and one more when polarised); `rng` (``mitsuba.PCG32``) gives further numbers for the facets of
     rough faces, and is advanced in place. Photons that are at a surface at all are `active` (Mask).
-    What happens `beyond` it in the same step is a function of Encounter and Outcome.
+    What happens `beyond` it in the same step is a function of Encounter and Outcome. Where contact
+    is `drawn` (Mask) before, light at an angle of total reflection is there for that only.
     """
     choice, u, v, *turn = uniforms
     cos_signed = dr.dot(direction, row.normal)
@@ -280,9 +281,13 @@ def interact(
         meets = leaving if row.painted is None else leaving | (row.painted > 0.5)
         if row.contact_above_mm is not None:
             meets &= position.z > row.contact_above_mm
-        touching = meets & (choice < row.contact)
-        apart = dr.select(meets, (choice - row.contact) / (1.0 - row.contact), choice)
-        choice = dr.select(touching, choice / row.contact, apart)
+        contact = row.contact
+        if drawn is not None:
+            total = dr.square(row.eta) * dr.fma(-cos_signed, cos_signed, 1.0) >= 1.0
+            contact = dr.select(drawn & total, 1.0, contact)
+        touching = meets & (choice < contact)
+        apart = dr.select(meets, (choice - contact) / (1.0 - contact), choice)
+        choice = dr.select(touching, choice / contact, apart)
     light = Encounter(
         row=row,
         direction=direction,
