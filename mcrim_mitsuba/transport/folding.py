@@ -76,7 +76,7 @@ def folded_axes(model: SceneModel, solid: Solid) -> tuple[int, ...]:
             and (solid.circle is None or solid.circle.axis == axis)
             and not (uneven and axis == 2)
             and min(_all_total_from(model, solid, p.faces) for p in across) < 1.0
-            and None not in (touched := [_contact_of(model, p.faces) for p in across])
+            and None not in (touched := [_contact_of(model, solid, p.faces) for p in across])
             and len({contact for contact in touched if contact}) < 2
         )
 
@@ -110,8 +110,13 @@ def _all_total_from(model: SceneModel, solid: Solid, faces: Iterable[int]) -> fl
     return max(total_from(model.surfaces[number], solid.volume) for number in surfaces)
 
 
-def _contact_of(model: SceneModel, faces: Iterable[int]) -> float | None:
-    """Probability with which a wrapping touches light at some faces; None where they differ."""
+def _contact_of(model: SceneModel, solid: Solid, faces: Iterable[int]) -> float | None:
+    """Probability that a wrapping touches light which a plane would reflect totally.
+
+    None where that differs from face to face; 0 of what light is never passed over at.
+    """
+    if _all_total_from(model, solid, faces) >= 1.0:
+        return 0.0
     contacts = {model.surfaces[model.flat_faces[face].surface].contact for face in faces}
     return contacts.pop() if len(contacts) == 1 else None
 
@@ -150,7 +155,7 @@ class FoldedBody(ConvexBody):
             # not shared where they agree by chance: the kernel must not depend on indices
             totals = [opaque([_all_total_from(model, solid, end.faces)]) for end in ends]
             self._folded[axis] = slab, totals, number(widths[-1]), number(1.0 / widths[-1])
-            contacts = [_contact_of(model, end.faces) or 0.0 for end in ends]
+            contacts = [_contact_of(model, solid, end.faces) or 0.0 for end in ends]
             if any(contacts):
                 per_log = opaque([1.0 / math.log1p(-max(contacts))])
                 self._contacts[axis] = per_log, *map(bool, contacts)

@@ -133,8 +133,9 @@ def test_the_truth_is_in_no_catalogue():
 
 
 def test_caution_costs_little_where_the_truth_is_known():
+    """Twelve draws: the median of six was between 1.22 and 1.32 by their choice."""
     dearer = []
-    for seed, name in enumerate(HIDDEN):
+    for seed, name in enumerate([*HIDDEN, *HIDDEN]):
         found = hidden(name, seed, set(SOME))
         averaged = found.light_yield_averaged
         assert name in found.leading and abs(averaged.value - 8.0) < 3.3 * averaged.sigma, name

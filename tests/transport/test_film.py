@@ -87,10 +87,13 @@ def _random_bench(number: int) -> dict[str, float]:
     }
 
 
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", range(6))
 def test_light_fares_as_from_face_to_face(scenes, number):
-    effects = [[], ["wrap_contact"], ["wrap_specular"], []][number]
-    simulation = wrapped(scenes, *effects, **_random_bench(number))
+    """Where all touches, and above a bare foot, reflections are not passed over."""
+    touching = [["wrap_contact"], ["wrap_contact", "wrap_missing"], ["wrap_contact"]]
+    effects = [[], ["wrap_specular"], [], *touching][number]
+    values = {"wrap_contact": 1.0} if number == 5 else {}
+    simulation = wrapped(scenes, *effects, **_random_bench(number), **values)
     assert simulation.launcher().path.film is not None
     assert_same_as_from_face_to_face(simulation, 1_000_000)
 
