@@ -161,10 +161,9 @@ class CrystalVolume:
 
     A parallelepiped of flat faces is sampled directly (where births fall with depth, one with two
     horizontal edges), and so is a cylinder (where births fall, along its axis; in a slab, one that
-    stands); any other closed
-    solid by rejection from its bounding box. A point is inside a convex solid when it is on the
-    inner side of all its planes and of its round wall, and inside another solid when the first face
-    that it sees has the medium on the near side.
+    stands); any other closed solid by rejection from its bounding box. A point is inside a convex
+    solid when it is on the inner side of all its planes and of its round wall, and inside another
+    solid when the first face that it sees has the medium on the near side.
 
     `volume` is the medium's index among ``model.volumes``. Births fall with the depth below the
     top, or with the distance from the side of the lowest x, as exp(-depth / ``source_depth_mm``, or
