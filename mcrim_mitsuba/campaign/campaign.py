@@ -26,6 +26,7 @@ from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, Sample, own_name, read_samples
 from mcrim_mitsuba.campaign.tolerances import Tolerance, read_tolerances, wrong_numbers
+from mcrim_mitsuba.campaign.treatments import switchable, with_treatments
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
 from mcrim_mitsuba.core.files import READS, collected, is_there
 from mcrim_mitsuba.core.numbers import (
@@ -77,6 +78,11 @@ class Campaign:
     scale: CampaignParameter | None = None
     #: Effects switched on, in the file's order.
     effects: tuple[str, ...] = ()
+    #: Effects that are in its scene, switched from row to row or of a shared size; their sizes are
+    #: parameters of the scene, which rows without them have at the value that takes them out.
+    treatments: tuple[str, ...] = ()
+    #: Parameters of the scene that have the value of another one, by name.
+    ties: dict[str, str] = field(default_factory=dict)
     #: Folder of the user's own effects.
     effects_folder: Path | None = None
     #: None: the scale is not turned into a light yield.
@@ -277,7 +283,8 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
     entries = document.table("", schema.CAMPAIGN)
     effects = catalogue(folder)
     scene = read_scene(_sibling(entries, "scene"))
-    table = read_table(_sibling(entries, "measurements"), scene.parameters)
+    of_rows = switchable(effects, scene, document)
+    table = read_table(_sibling(entries, "measurements"), scene.parameters, of_rows)
     document, measurements, raw = reduce_raw_data(document, table, scene)
     of_effects = {p.name for effect in effects.values() for p in effect.parameters}
     samples, measurements = read_samples(
@@ -305,6 +312,7 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         samples=samples,
     )
     campaign = replace(campaign, effects=_read_effects(entries, campaign))
+    campaign = with_treatments(campaign, document)
     campaign = _with_parameters(campaign, document)
     campaign = replace(
         campaign,
@@ -322,11 +330,13 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
     """The campaign with all of its parameters, and what turns the scale into a light yield."""
     values, measurements = campaign.values, campaign.measurements
     _refuse_parameters_of_other_effects(document, campaign)
-    ranges = known_ranges(campaign.catalogue, campaign.effects, values)
-    brought = [p.name for effect in campaign.switched_on for p in effect.parameters]
+    named = (*campaign.treatments, *campaign.effects)
+    ranges = known_ranges(campaign.catalogue, named, values)
+    brought = [p.name for name in named for p in campaign.catalogue[name].parameters]
     parameters = {
         name: read_parameter(document, name, campaign.scene, values, measurements, ranges)
         for name in dict.fromkeys([*document.table("parameters"), *brought])
+        if name not in campaign.ties
     }
     _refuse_ranges_of_beam(document, parameters, values)
     scale = parameters.pop(SCALE, None)
@@ -515,9 +525,6 @@ def _refuse_effects(names: Sequence[str], campaign: Campaign) -> None:
         effect = effect_of(name, campaign.catalogue)
         if name in names[:position]:
             raise InputError(f"{name} is named twice", "name it once")
-        if name in campaign.measurements.columns:
-            problem = f"{name} is switched on and a column of {campaign.measurements.path.name}"
-            raise InputError(problem, "remove one of the two")
         effect.refuse_without_part(campaign.scene)
         if effect.of_beam and not campaign.beam:
             problem = f"{name} acts on transmittances, and no reading is one"

@@ -20,7 +20,7 @@ import tomlkit
 from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.known_physics import CRYSTAL_INDEX, INDEX, material_of
-from mcrim_mitsuba.campaign.measurements import KIND, SAMPLE, Measurements
+from mcrim_mitsuba.campaign.measurements import ENERGY, KIND, SAMPLE, Measurements
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.raw_data import put_numbers, table_in
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedReading
@@ -53,7 +53,7 @@ def campaign_with_effects(
     """
     document = _document(campaign, target, scene, campaign.measurements.path)
     # a key that is new goes before the first table, or it would belong to the last one
-    document["effects"] = list(campaign.effects)
+    document["effects"] = [*campaign.treatments, *campaign.effects]
     parameters = document.setdefault("parameters", tomlkit.table(is_super_table=True))
     # what samples have of their own stands in their tables, with what is known of it
     keys = {
@@ -285,6 +285,11 @@ def measurement_cells(measurements: Measurements) -> dict[str, list[str]]:
         cells[KIND] = [reading.kind for reading in readings]
     if any(reading.sample for reading in readings):
         cells[SAMPLE] = [reading.sample for reading in readings]
+    if any(reading.energy_keV is not None for reading in readings):
+        energies = (reading.energy_keV for reading in readings)
+        cells[ENERGY] = ["" if energy is None else f"{energy:.15g}" for energy in energies]
+    for name in measurements.switches:
+        cells[name] = [str(int(name not in reading.without)) for reading in readings]
     for name in measurements.columns:
         # beams leave cells of the bench empty, and light those of the beam
         values = (reading.parameters.get(name) for reading in readings)

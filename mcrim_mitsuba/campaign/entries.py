@@ -52,6 +52,9 @@ SIGMA = "sigma"
 EACH = "each"
 EACH_VALUE = "value"
 
+#: That a parameter has the value of another one.
+SAME_AS = "same_as"
+
 #: Characters of a title or a unit, at most: they stand in one line of a figure.
 LONGEST_WORDS = 100
 
@@ -90,6 +93,7 @@ PARAMETER: Entries = {
     "prior": _number("What is known of it from elsewhere: the mean of a Gaussian"),
     "prior_sigma": _number("Standard error of the prior", exclusiveMinimum=0),
     "fixed": {"type": "boolean", "description": "Whether it is held at its start"},
+    SAME_AS: {"type": "string", "description": "Parameter whose value it has, in place of its own"},
 }
 #: Of the absorption coefficient, in the place of its prior.
 TRANSMITTANCE: Entries = {

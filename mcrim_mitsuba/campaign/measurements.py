@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -28,14 +28,18 @@ _TEXTS = ("label", "histogram", "group", "kind", "sample")
 #: An error in per cent.
 _SHARE = re.compile(r"([0-9]+\.?[0-9]*) ?%")
 _OPTIONAL = ("use", "group", "group_sigma")
+#: Of lines that scintillators are read with: X-rays to cosmic muons in a large crystal.
+_ENERGIES_KEV = 1.0, 1e6
 #: Labels are written into CSV that people open in spreadsheets.
 _FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
 KIND = "kind"
 LIGHT = "light"
 TRANSMITTANCE = "transmittance"
 SAMPLE = "sample"
+#: Energy of a row's line: the light is in proportion to it.
+ENERGY = "energy_keV"
 _SIGNALS = {LIGHT: "light signal", TRANSMITTANCE: TRANSMITTANCE}
-_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, KIND, SAMPLE)
+_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, KIND, SAMPLE, ENERGY)
 _HEADERS = "the header is label,signal,sigma,... or label,histogram,..."
 
 
@@ -70,6 +74,10 @@ class Reading:
     kind: str = LIGHT
     #: Which crystal was measured; empty: the campaign's own.
     sample: str = ""
+    #: Energy that was deposited; None where the file does not say it: that of all others.
+    energy_keV: float | None = None
+    #: Effects that are switched off in this row.
+    without: tuple[str, ...] = ()
 
     @property
     def of_beam(self) -> bool:
@@ -89,6 +97,8 @@ class Measurements:
     columns: tuple[str, ...]
     #: All of them, those that are not used included.
     readings: tuple[Reading, ...]
+    #: Effects that a column switches from row to row, in the file's order.
+    switches: tuple[str, ...] = ()
 
     @property
     def in_use(self) -> tuple[Reading, ...]:
@@ -132,15 +142,18 @@ class Measurements:
         return replace(self, readings=readings)
 
 
-def read_table(path: str | Path, scene_parameters: Mapping[str, Value]) -> Measurements:
+def read_table(
+    path: str | Path, scene_parameters: Mapping[str, Value], effects: Iterable[str] = ()
+) -> Measurements:
     """Read a measurement file (CSV), every row checked by itself and beside its namesakes.
 
     It is as instruments and spreadsheets write it: columns separated by commas, semicolons or tabs,
     decimal points or commas, in the encodings of `core.files.read_table_text`. Columns: label;
     signal and sigma, or histogram (a file; relative paths begin at this file's folder) with
     window_low and window_high, or all of them, with the cells of one kind empty; optionally use,
-    group with group_sigma, sample, and any parameters of the scene (`SceneFile.parameters`), cells
-    of the same kind as these. Lines that begin with # are comments.
+    group with group_sigma, sample, energy_keV, any parameters of the scene
+    (`SceneFile.parameters`), cells of the same kind as these, and names of `effects`, which 0 and 1
+    switch row by row. Lines that begin with # are comments.
 
     Raises InputError, with file, line and column, if anything cannot be used.
     """
@@ -153,7 +166,8 @@ def read_table(path: str | Path, scene_parameters: Mapping[str, Value]) -> Measu
     )
     if KIND in columns:
         scene_parameters = {**scene_parameters, **BEAM_PARAMETERS}
-    _check_header(columns, scene_parameters, path, header_line)
+    switches = tuple(name for name in columns if name in set(effects))
+    _check_header(columns, [*scene_parameters, *effects], path, header_line)
     rows = [_Cells(columns, row, separator, path, line) for line, row in lines[1:]]
 
     def refusal(problem: str, mend: str, line: int, column: str) -> InputError:
@@ -166,8 +180,9 @@ def read_table(path: str | Path, scene_parameters: Mapping[str, Value]) -> Measu
     table = Measurements(
         path,
         comments,
-        tuple(name for name in columns if name not in _FORMAT),
-        tuple(cells.row(scene_parameters) for cells in rows),
+        tuple(name for name in columns if name not in (*_FORMAT, *switches)),
+        tuple(cells.row(scene_parameters, switches) for cells in rows),
+        switches,
     )
     _check_labels(table)
     _check_histograms(table)
@@ -200,9 +215,7 @@ def _text_of(path: Path) -> tuple[tuple[str, ...], list[tuple[int, str]], str | 
     return tuple(comments), lines, separator
 
 
-def _check_header(
-    columns: list[str], scene_parameters: Iterable[str], path: Path, line: int
-) -> None:
+def _check_header(columns: list[str], others: Iterable[str], path: Path, line: int) -> None:
     """Refuse names of columns that are not known, or do not belong together."""
     refusal = partial(InputError, path=path, line=line)
     if len(columns) > _MOST_COLUMNS:
@@ -220,8 +233,8 @@ def _check_header(
             raise refusal("a column has no name", "name it or remove it", column=position + 1)
         if name in columns[:position]:
             raise refusal("the column is there twice", "keep one", column=name)
-        if name not in (names := [*_FORMAT, *scene_parameters]):
-            problem = "neither a column of the format nor a parameter of the scene"
+        if name not in (names := [*_FORMAT, *others]):
+            problem = "neither a column of the format nor a parameter of the scene nor an effect"
             raise refusal(problem, did_you_mean(name, names), column=name)
     for first, second in (("group", "group_sigma"), _WINDOW):
         if (first in columns) != (second in columns):
@@ -250,7 +263,7 @@ class _Cells(dict[str, str]):
             raise InputError(problem, mend, path=path, line=line)
         super().__init__(zip(columns, cells, strict=True))
 
-    def row(self, scene_parameters: Mapping[str, Value]) -> Reading:
+    def row(self, scene_parameters: Mapping[str, Value], switches: Collection[str]) -> Reading:
         """The row, checked by itself."""
         if not self["label"]:
             raise self.refusal("label", "the reading has no label", "name it")
@@ -269,17 +282,15 @@ class _Cells(dict[str, str]):
             raise self.refusal(_HISTOGRAM, problem, "give its signal and sigma")
         group, group_sigma = self._group()
         window = self._window(histogram)
-        parameters = self._parameters(scene_parameters, kind)
-        use = self.get("use", "1")
-        if use not in ("0", "1"):
-            problem = f"use = '{use}' is neither 0 nor 1"
-            raise self.refusal("use", problem, "write 1 to fit it, 0 not to")
+        parameters = self._parameters(scene_parameters, kind, switches)
+        use = "use" not in self or self._switch("use", "write 1 to fit it, 0 not to")
+        mend = "the column switches the effect: write 1 where a row has it, 0 where not"
         return Reading(
             self["label"],
             signal,
             sigma,
             parameters,
-            use=use == "1",
+            use=use,
             group=group,
             group_sigma=group_sigma,
             line=self.line,
@@ -287,6 +298,8 @@ class _Cells(dict[str, str]):
             window=window,
             kind=kind,
             sample=self.get(SAMPLE, ""),
+            energy_keV=self._energy(kind),
+            without=tuple(name for name in switches if not self._switch(name, mend)),
         )
 
     @property
@@ -308,6 +321,24 @@ class _Cells(dict[str, str]):
 
     def refusal(self, name: str, problem: str, mend: str) -> InputError:
         return InputError(problem, mend, **self.place(name))
+
+    def _switch(self, name: str, mend: str) -> bool:
+        """Whether a cell of 0 or 1 says yes."""
+        if self[name] not in ("0", "1"):
+            raise self.refusal(name, f"{name} = '{self[name]}' is neither 0 nor 1", mend)
+        return self[name] == "1"
+
+    def _energy(self, kind: str) -> float | None:
+        """Energy of the row's line in keV; None where there is no such column, or of a beam."""
+        if ENERGY not in self or (kind == TRANSMITTANCE and not self[ENERGY]):
+            return None
+        energy = self.number(ENERGY)
+        if kind == TRANSMITTANCE:
+            raise self.refusal(ENERGY, f"{ENERGY} of a transmittance", "empty the cell")
+        if not _ENERGIES_KEV[0] <= energy <= _ENERGIES_KEV[1]:
+            problem = f"{ENERGY} = {energy:g} is no energy of a line in keV"
+            raise self.refusal(ENERGY, problem, "write it in keV: 662 for 0.662 MeV")
+        return energy
 
     def _histogram(self) -> Path | None:
         """The file of the histogram that gives the signal; None for a row with numbers."""
@@ -375,11 +406,13 @@ class _Cells(dict[str, str]):
             raise self.refusal("group_sigma", problem, "it is a relative error: write 0.02 for 2 %")
         return group, group_sigma
 
-    def _parameters(self, scene_parameters: Mapping[str, Value], kind: str) -> dict[str, Value]:
+    def _parameters(
+        self, scene_parameters: Mapping[str, Value], kind: str, switches: Collection[str]
+    ) -> dict[str, Value]:
         """Scene parameters of the row, without those of the bench that a beam has not."""
         parameters: dict[str, Value] = {}
         for name, cell in self.items():
-            if name in _FORMAT:
+            if name in _FORMAT or name in switches:
                 continue
             if not cell and (name in BEAM_PARAMETERS) != (kind == TRANSMITTANCE):
                 continue  # the bench has no beam, and the beam no gap
@@ -415,6 +448,10 @@ def _check_labels(table: Measurements) -> None:
                         "give each configuration its own label: rows of one label are repeated "
                         "mountings",
                     )
+            if (row.energy_keV, row.without) != (first.energy_keV, first.without):
+                problem = f"{label} has another energy or other effects here than on its first line"
+                mend = "give each configuration its own label"
+                raise table.refusal(row, "label", problem, mend)
             if (row.group, row.group_sigma) != (first.group, first.group_sigma):
                 problem = f"{label} is of another group here than on line {first.line}"
                 mend = "give the mountings of one reading one group"

@@ -49,6 +49,7 @@ def facets_of(
             start=0.25,
             # a face is ground or it is not
             absent=None,
+            off=0.0,
             plausible=(0.1, 0.6),
             nodes=(0.1, 0.16, 0.25, 0.4, 0.6),
         )

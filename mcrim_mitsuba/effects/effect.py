@@ -57,6 +57,8 @@ class Rows:
     position: np.ndarray
     #: (readings,) bool: Whether its crystal is another piece: its size is not the scene's.
     other_sample: np.ndarray
+    #: (readings,) float64: Energy of its line over that of the light yield, or of the first row.
+    energy_ratio: np.ndarray = field(default_factory=lambda: np.ones(1))
 
 
 #: Readings, and their derivatives by signal and by the effect's value, all of the signals' shape.
@@ -91,6 +93,8 @@ class EffectParameter:
     plausible: tuple[float, float]
     #: Rising values at which responses are computed, `absent` left out.
     nodes: tuple[float, ...]
+    #: The value that takes it out of a scene, where that is none of the range; None: `absent`.
+    off: float | None = None
     #: Scene parameter whose value in the scene is the absent one; all numbers here are then
     #: offsets from it.
     nominal: str | None = None
@@ -299,6 +303,15 @@ class Effect:
         needed = (*nominal, *self.needs, *(["n_gap"] if self.filled_only else []))
         numbers = (name for name in needed if not isinstance(parameters.get(name), float))
         return next(numbers, None)
+
+    @property
+    def switched_off(self) -> dict[str, float] | None:
+        """Values of its parameters that take it out of a scene that has it; None: none do."""
+        values = {p.name: p.absent if p.off is None else p.off for p in self.parameters}
+        finite = {n: v for n, v in values.items() if v is not None and math.isfinite(v)}
+        nominal = any(p.nominal is not None for p in self.parameters)
+        can = self.edit is not None and values and not nominal
+        return finite if can and len(finite) == len(values) else None
 
     def acts_in(self, scene: SceneFile) -> bool:
         """Whether a scene has what the effect acts on."""

@@ -69,7 +69,8 @@ NONLINEARITY = Effect(
     family="readings",
     look=(
         "Put a grey filter of known transmittance before the detector: strong and weak signals "
-        "must fall by just that part."
+        "must fall by just that part. Read a second gamma line: light is in proportion to its "
+        "energy, a bent readout is not, whatever the bench does."
     ),
     physics=(
         "Space charge in a photomultiplier, the finite number of a silicon detector's cells, an "
@@ -210,5 +211,47 @@ SAMPLE_SCALE = Effect(
         ),
     ),
     reading=reading_sample_scale,
+    order=-1,
+)
+
+
+def reading_non_proportionality(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
+    """reading = signal (energy / that of the light yield)^p."""
+    share = rows.energy_ratio**value
+    more = signals * share
+    return more, np.broadcast_to(share, signals.shape), more * np.log(rows.energy_ratio)
+
+
+NON_PROPORTIONALITY = Effect(
+    name="non_proportionality",
+    title="scintillator that is not proportional",
+    family="readings",
+    look=(
+        "Read more gamma lines with one coupling, weak ones behind a grey filter: what depends on "
+        "the energy and not on the signal is the scintillator's."
+    ),
+    physics=(
+        "Light per keV is not the same for all energies: where an electron ionises densely, at the "
+        "end of its track, excitations quench each other. In most oxides light per keV rises with "
+        "the energy, in alkali halides it falls. It is taken as a power of the energy, "
+        "relative to that of the light yield, or of the first row. It acts before a nonlinear "
+        "readout."
+    ),
+    source=(
+        "P. Dorenbos, J. T. M. de Haas and C. W. E. van Eijk, IEEE Transactions on Nuclear "
+        "Science 42 (1995) 2190"
+    ),
+    parameters=(
+        EffectParameter(
+            name="non_proportionality",
+            meaning="Power of the energy with which light per keV rises",
+            minimum=-0.3,
+            maximum=0.3,
+            start=0.02,
+            plausible=(-0.05, 0.08),
+            nodes=(-0.3, -0.1, 0.1, 0.3),
+        ),
+    ),
+    reading=reading_non_proportionality,
     order=-1,
 )

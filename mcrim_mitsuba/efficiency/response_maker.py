@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.tolerances import Tolerance
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALL_DETECTORS, ALPHA_ABS, ALPHA_SCAT, COUNTED, Value
@@ -313,18 +314,19 @@ class ResponseMaker:
         acceptance: EffectParameter | None = None,
     ) -> _EffectPlan:
         """An effect at nodes of some axes; those of `acceptance` are last, where beams see it."""
-        seeing = [number for number, run in enumerate(plain) if self._is_seen(effect, run)]
+        readings = self.campaign.measurements.readings
+        seeing = [n for n, run in enumerate(plain) if self._is_seen(effect, run, readings[n])]
         further = None
         if acceptance and not effect.of_beam and any(plain[number].of_beam for number in seeing):
             benches = [{**self.campaign.values, **run.parameters} for run in plain]
             further = _axis(acceptance, self.campaign.values, benches)
         nodes: list[_Node] = []
         for number in seeing:
-            run = plain[number]
+            run, row = plain[number], self.campaign.measurements.readings[number]
             source, reference = self._sources(effect, run, photons)
             at_own_acceptance = self._at_own_acceptance(run)
             for place, values in _nodes(axes):
-                changed = self._changed(effect, source, run, values)
+                changed = self._changed(effect, source, run, self._moved(row, values))
                 if further is None:
                     nodes.append(_Node(place, number, reference, changed))
                     continue
@@ -405,7 +407,11 @@ class ResponseMaker:
         points, wanted = [], []
         for reading, values_of in zip(readings, configurations(self.campaign), strict=True):
             # without a liquid such effects do nothing, but their edits would change the scene
-            idle = [effect for effect in physical if effect.filled_only and not filled(values_of)]
+            idle = [
+                effect
+                for effect in physical
+                if effect.name in reading.without or (effect.filled_only and not filled(values_of))
+            ]
             scene = self.campaign.scene
             for effect in physical:
                 scene = scene if effect in idle else _with_effect(scene, effect)
@@ -413,9 +419,10 @@ class ResponseMaker:
             free -= {p.name for effect in idle for p in effect.parameters}
             if reading.of_beam:
                 free -= {GAP_INDEX}
+            moved = self._moved(reading, values)
             there = {
                 **self._left(scene, values_of),
-                **{n: v for n, v in values.items() if n in free},
+                **{n: v for n, v in moved.items() if n in free},
             }
             for name in (ALPHA_SCAT, ALPHA_ABS):  # a sample may have its own
                 if (of := self.campaign.parameter_of(reading, name)) != name:
@@ -468,8 +475,16 @@ class ResponseMaker:
             self._open_mask or effect.mask_column == "mask_radius_mm"
         )
 
-    def _is_seen(self, effect: Effect, run: PlannedRun) -> bool:
+    def _moved(self, row: Reading, values: Mapping[str, float]) -> dict[str, float]:
+        """Values of an effect, those tied to them too, without what a row has of its own."""
+        ties = self.campaign.ties.items()
+        moved = {**values, **{name: values[of] for name, of in ties if of in values}}
+        return {name: value for name, value in moved.items() if name not in row.parameters}
+
+    def _is_seen(self, effect: Effect, run: PlannedRun, row: Reading) -> bool:
         """Whether a reading can see an effect at all."""
+        if effect.name in row.without:
+            return False
         if effect.number is not None:
             return effect.number.is_of(run.parameters)
         if effect.filled_only and not filled(run.parameters):
@@ -477,7 +492,8 @@ class ResponseMaker:
         if effect.of_beam:
             return self._at_own_acceptance(run)
         if effect.name in self._further_parameters():
-            return effect.name in run.parameters and not (effect.name == GAP_INDEX and run.of_beam)
+            known = self._moved(row, {effect.name: 0.0}).keys() & run.parameters.keys()
+            return bool(known) and not (effect.name == GAP_INDEX and run.of_beam)
         if not run.of_beam:
             return True
         # a beam sees what changes in its scene, where only the crystal is left of the bench
@@ -544,8 +560,10 @@ def configurations(campaign: Campaign) -> list[dict[str, Value]]:
         if p.nominal is None and p.absent is not None
     }
     of_readings = []
+    alike = {**campaign.values, **held}
+    alike |= {name: alike[of] for name, of in campaign.ties.items()}
     for reading in campaign.measurements.readings:
-        values = {**campaign.values, **held, **reading.parameters}
+        values = {**alike, **reading.parameters}
         values |= {n: v for n, v in absent.items() if n in values}
         known = _scene_for(campaign.scene, reading.of_beam).parameters
         # in the beam there is air where the bench has a liquid
@@ -633,6 +651,7 @@ def _as_effect(campaign: Campaign, name: str) -> Effect:
     """A fitted scene parameter as an effect, absent at the scene's value; acceptance by angle."""
     known, own = campaign.parameters[name], float(campaign.values[name])
     low, high = known.minimum, known.maximum
+    treated = [campaign.catalogue[effect] for effect in campaign.treatments]
     if not (math.isfinite(low) and math.isfinite(high)):
         problem = f"{name} has the range {low:g}..{high:g}"
         mend = "give a finite min and a larger finite max: it is simulated between them"
@@ -643,14 +662,23 @@ def _as_effect(campaign: Campaign, name: str) -> Effect:
         nodes = np.clip(nodes, low, high)
     else:
         nodes = chebyshev_nodes(low, high, _SCENE_NODES)
+    size = next((p for e in treated for p in e.parameters if p.name == name), None)
+    if size is not None:
+        nodes = np.array([node for node in size.nodes if low < node < high])
     # the scene's value stands in for the nearest of them
-    nodes = np.delete(nodes, int(np.abs(nodes - own).argmin()))
+    nodes = np.delete(nodes, np.abs(nodes - own).argsort()[:1])
+    if size is not None:
+        nodes = np.array(sorted({low, *nodes, high} - {own}))
     fields: dict[str, Any] = {"minimum": low, "maximum": high, "plausible": (low, high)}
     fields |= {"start": known.start, "absent": own, "nodes": tuple(map(float, nodes))}
     if name == ACCEPTANCE:
         (parameter,) = FORWARD_BEAM.parameters
         fields |= {"nominal": None, "scale": _ACCEPTANCE_SCALE_DEG, "limits": None}
         return replace(FORWARD_BEAM, name=name, parameters=(replace(parameter, **fields),))
-    parameter = EffectParameter(name=name, unit="", meaning="a parameter of the scene", **fields)
+    parameter = (
+        EffectParameter(name=name, unit="", meaning="a parameter of the scene", **fields)
+        if size is None
+        else replace(size, **fields)
+    )
     # nothing to be written into the scene: it has the parameter
     return Effect(name, name, "", "", parameters=(parameter,), edit=lambda editor: None)

@@ -139,6 +139,21 @@ def free_parameters(
 # ---- from responses ----
 
 
+def _energy_ratios(campaign: Campaign) -> Array:
+    """(readings,) energies over that which each row's scale refers to; 1 where none is told."""
+    rows = campaign.measurements.readings
+    told = [row.energy_keV for row in rows if row.energy_keV is not None]
+    known = {scale: of.energy_keV for scale, (_, of) in campaign.light_yields.items()}
+    return np.array(
+        [
+            1.0
+            if row.energy_keV is None
+            else row.energy_keV / known.get(campaign.parameter_of(row, SCALE), told[0])
+            for row in rows
+        ]
+    )
+
+
 def _rows(campaign: Campaign) -> Rows:
     """What effects of the readings know of a campaign's rows."""
     readings, scene = campaign.measurements.readings, campaign.scene.parameters
@@ -154,7 +169,13 @@ def _rows(campaign: Campaign) -> Rows:
         )
         for each in readings
     ]
-    return Rows(position, np.array(others, dtype=bool))
+    return Rows(position, np.array(others, dtype=bool), _energy_ratios(campaign))
+
+
+def _read_with(effect: Effect, campaign: Campaign) -> Array:
+    """(readings,) bool: Which of them an effect of the readings acts on."""
+    readings = campaign.measurements.readings
+    return np.array([not row.of_beam and effect.name not in row.without for row in readings])
 
 
 def acts_on(effect: Effect, campaign: Campaign) -> bool:
@@ -162,7 +183,7 @@ def acts_on(effect: Effect, campaign: Campaign) -> bool:
     assert effect.reading is not None
     ones = np.ones(len(campaign.measurements.readings))
     read = effect.reading(ones, effect.parameters[0].start, _rows(campaign))[0]
-    used = [each.use and not each.of_beam for each in campaign.measurements.readings]
+    used = _read_with(effect, campaign) & [each.use for each in campaign.measurements.readings]
     # a background may begin at none
     return bool((read != 1.0)[used].any()) or effect.parameters[0].start == 0.0
 
@@ -192,9 +213,9 @@ class ResponseModel:
             name: [campaign.parameter_of(reading, name) for reading in self.readings]
             for name in (ALPHA_SCAT, ALPHA_ABS, SCALE)
         }
-        # of effects of the readings, the name of their one parameter and what it does to signals
+        # of effects of the readings, the name of their one parameter, what it does and to which
         self._of_readings = [
-            (effect.parameters[0].name, effect.reading)
+            (effect.parameters[0].name, effect.reading, _read_with(effect, campaign))
             for effect in sorted(effects, key=lambda effect: effect.order)
             if effect.reading is not None
         ]
@@ -309,11 +330,12 @@ class ResponseModel:
         photomultiplier read it.
         """
         light, common = self._of_light, values.get(EFFICIENCY_FACTOR, 1.0)
-        scales = np.array([values[name] for name in self._named[SCALE]])
+        lines = self._measured.energy_ratio
+        scales = lines * [values[name] for name in self._named[SCALE]]
         per_eta = np.where(light, common * scales, 1.0)
         slopes = per_eta[:, None] * eta_slopes
         for name, rows in self._lit_by.items():
-            slopes[rows, self._column[name]] = common * eta[rows]
+            slopes[rows, self._column[name]] = common * (lines * eta)[rows]
         if EFFICIENCY_FACTOR in self._column:
             slopes[light, self._column[EFFICIENCY_FACTOR]] = (scales * eta)[light]
         return per_eta * eta, slopes, per_eta
@@ -322,15 +344,14 @@ class ResponseModel:
         self, values: Mapping[str, float], signal: Array, slopes: Array, per_eta: Array
     ) -> tuple[Array, Array, Array]:
         """The same as they are read, by the effects of the readings one after the other."""
-        light = self._of_light
-        for name, reading in self._of_readings:
+        for name, reading, rows in self._of_readings:
             read, by_signal, by_value = reading(signal, values[name], self._measured)
-            signal = np.where(light, read, signal)
-            by_signal = np.where(light, by_signal, 1.0)
+            signal = np.where(rows, read, signal)
+            by_signal = np.where(rows, by_signal, 1.0)
             per_eta = per_eta * by_signal
             slopes = slopes * by_signal[:, None]
             if name in self._column:
-                slopes[:, self._column[name]] += np.where(light, by_value, 0.0)
+                slopes[:, self._column[name]] += np.where(rows, by_value, 0.0)
         return signal, slopes, per_eta
 
     def predict_many(self, thetas: Array) -> Array:
@@ -354,12 +375,13 @@ class ResponseModel:
             log_eta += self._shift
         scales = np.stack(np.broadcast_arrays(*(values[n] for n in self._named[SCALE])), axis=-1)
         scales = scales * values.get(EFFICIENCY_FACTOR, np.ones(1))[:, None]
+        scales = scales * self._measured.energy_ratio
         signal = np.where(self._of_light, scales, 1.0) * np.exp(log_eta)
-        for name, reading in self._of_readings:
+        for name, reading, reads in self._of_readings:
             # formulas of effects take numbers, and as well a column of them
             size: Any = values[name][:, None]
             read = reading(signal, size, self._measured)[0]
-            signal = np.where(self._of_light, read, signal)
+            signal = np.where(reads, read, signal)
         return signal
 
     def eta_batches(self, theta: Array) -> Array:

@@ -459,7 +459,7 @@ class CampaignSimulations:
         parts = {f"{WRONG}{tolerance.number.name}" for tolerance in campaign.tolerances}
         parts |= {f"{WRONG}{t.number.parameter}" for t in campaign.tolerances if t.number.is_index}
         for name, effect in campaign.catalogue.items():
-            there = (*campaign.effects, *campaign.known_physics)
+            there = (*campaign.effects, *campaign.treatments, *campaign.known_physics)
             if name in there or effect.is_in(campaign.scene) or not effect.offered:
                 continue
             if NUMBERS_OF.get(name) in numbers or (effect.number and name not in parts):

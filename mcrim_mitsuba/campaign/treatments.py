@@ -1,0 +1,130 @@
+"""What was done to the crystal from reading to reading: effects that rows switch on and off.
+
+A column of the measurements that is named after an effect says with 0 and 1 which rows have it. An
+effect that the campaign switches on besides is put into the scene at the size that its fit begins
+with, so that all else is simulated beside it, and rows without it have the value that takes it out.
+Its size is shared by its rows, and by other effects where a tie says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from mcrim_mitsuba.campaign import entries as schema
+from mcrim_mitsuba.campaign.measurements import Measurements
+from mcrim_mitsuba.core.errors import did_you_mean, said_by
+from mcrim_mitsuba.core.numbers import COEFFICIENTS
+from mcrim_mitsuba.core.toml_document import TomlDocument
+from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.scene.editor import SceneEditor
+from mcrim_mitsuba.scene.scene_file import SceneFile
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.campaign.campaign import Campaign
+
+_PARAMETERS = "parameters"
+
+
+def switchable(
+    effects: Mapping[str, Effect], scene: SceneFile, document: TomlDocument
+) -> list[str]:
+    """Effects that a column may switch: not what is a number of the scene that rows may give."""
+    fitted = {*document.table(_PARAMETERS), *map(str, document.content.get("effects", []))}
+    return [name for name in effects if name not in scene.parameters or name in fitted]
+
+
+def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
+    """The campaign with the effects in its scene that rows switch, or that share their sizes.
+
+    Raises InputError where a tie cannot be, where no row has an effect, and where an effect that
+    shares its size cannot be taken out of a scene.
+    """
+    _refuse_idle(campaign.measurements)
+    ties = _read_ties(document, campaign)
+    tied = {*ties, *ties.values()}
+    switches = campaign.measurements.switches
+    treatments = tuple(
+        effect.name
+        for effect in campaign.switched_on
+        if effect.switched_off is not None
+        and (effect.name in switches or tied & effect.switched_off.keys())
+    )
+    scene = campaign.scene
+    for name in treatments:
+        effect = campaign.catalogue[name]
+        if not effect.is_in(scene):
+            with said_by(partial(document.refusal, "effects"), placed_too=False):
+                scene = scene.edited(add(effect, scene))
+    editor = SceneEditor(scene, {})
+    sizes = [n for name in treatments for n in campaign.catalogue[name].switched_off or ()]
+    for size in sizes:
+        start = document.table(f"{_PARAMETERS}.{ties.get(size, size)}").number("start")
+        if start is not None:
+            editor.set_default(size, start)
+    scene = scene.edited(editor.finished()) if sizes else scene
+    out = {
+        name: campaign.catalogue[name].switched_off or {}
+        for name in switches
+        if campaign.catalogue[name].is_in(scene)
+    }
+    readings = []
+    for reading in campaign.measurements.readings:
+        off = {n: value for name in reading.without for n, value in out.get(name, {}).items()}
+        readings.append(replace(reading, parameters={**reading.parameters, **off}))
+    return replace(
+        campaign,
+        scene=scene,
+        measurements=replace(campaign.measurements, readings=tuple(readings)),
+        effects=tuple(name for name in campaign.effects if name not in treatments),
+        treatments=treatments,
+        ties=ties,
+    )
+
+
+def _refuse_idle(measurements: Measurements) -> None:
+    """Refuse a column that switches an effect on in no row."""
+    for name in measurements.switches:
+        if all(name in reading.without for reading in measurements.readings):
+            problem = f"{name} is switched on in no row"
+            mend = "write 1 into the rows that have it, or remove the column"
+            raise measurements.refusal(measurements.readings[0], name, problem, mend)
+
+
+def _read_ties(document: TomlDocument, campaign: Campaign) -> dict[str, str]:
+    """``same_as`` of the parameters, by name."""
+    sizes = {
+        parameter: effect.name
+        for effect in campaign.switched_on
+        for parameter in effect.switched_off or ()
+    }
+    numbers = [n for n, value in campaign.scene.parameters.items() if isinstance(value, float)]
+    can = [n for n in dict.fromkeys([*sizes, *numbers]) if n not in COEFFICIENTS]
+    ties: dict[str, str] = {}
+    for name in document.table(_PARAMETERS):
+        table = document.table(f"{_PARAMETERS}.{name}", schema.PARAMETER)
+        if schema.SAME_AS not in table:
+            continue
+        leader = table[schema.SAME_AS]
+        if others := [entry for entry in table if entry != schema.SAME_AS]:
+            problem = f"{name} has {schema.SAME_AS} and {others[0]}"
+            raise table.refusal(others[0], problem, f"write {others[0]} at {leader}, or remove it")
+        for which in (name, leader):
+            if which not in can:
+                problem = f"{which} is neither a number of the scene nor a size of an effect in it"
+                mend = did_you_mean(str(which), can)
+                raise table.refusal(schema.SAME_AS, f"{problem} or in effects", mend)
+        if leader == name or schema.SAME_AS in document.table(f"{_PARAMETERS}.{leader}"):
+            problem = f"{name} is to be the same as {leader}, which has no value of its own"
+            raise table.refusal(schema.SAME_AS, problem, "name the one that is fitted")
+        if leader not in sizes and leader not in document.table(_PARAMETERS):
+            problem = f"{leader} is not fitted: nothing moves {name}"
+            raise table.refusal(schema.SAME_AS, problem, f"add [{_PARAMETERS}.{leader}]")
+        for column in {name, leader} & {*campaign.measurements.columns}:
+            problem = f"{column} is a column of {campaign.measurements.path.name}, and tied"
+            raise table.refusal(schema.SAME_AS, problem, "remove the column, or the tie")
+        ties[name] = leader
+    return ties
