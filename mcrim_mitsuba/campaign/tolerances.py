@@ -27,9 +27,10 @@ from mcrim_mitsuba.campaign.entries import (
 )
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, THIN, judge, unit_of
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, SOURCE_Z, THIN, judge, unit_of
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.effects.effect import WRONG, BenchNumber, Effect, EffectParameter
+from mcrim_mitsuba.effects.scene_edits import HEIGHT
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX
 
@@ -160,7 +161,7 @@ def read_tolerances(
         parts = [BenchNumber(name, value) for value in of_rows]
         parts = [part for part in parts if any(map(part.is_of, rows))]
         found = [
-            _usual(scene, part) if sigma is None else _given(table, part, float(sigma))
+            _usual(scene, part) if sigma is None else _given(table, scene, part, float(sigma))
             for part in parts
         ]
         of_parts = [tolerance for tolerance in found if tolerance is not None]
@@ -229,13 +230,13 @@ def _usual(scene: SceneFile, part: BenchNumber) -> Tolerance | None:
         return None
     # what is near an end of what there is cannot be off so far
     for less in (1.0, 0.5, 0.25, 0.1):
-        farthest = _farthest(part, less * sigma)
+        farthest = _farthest(scene, part, less * sigma)
         if sigma > 0.0 and -farthest[0] >= _POSSIBLE * less * sigma <= farthest[1]:
             return Tolerance(part, value, less * sigma, farthest, given=False)
     return None
 
 
-def _given(table: TomlTable, part: BenchNumber, sigma: float) -> Tolerance | None:
+def _given(table: TomlTable, scene: SceneFile, part: BenchNumber, sigma: float) -> Tolerance | None:
     """What the campaign says of a number; None where it is exact.
 
     Refuses an uncertainty by which the number would be impossible.
@@ -245,14 +246,16 @@ def _given(table: TomlTable, part: BenchNumber, sigma: float) -> Tolerance | Non
     if sigma < 0.0:
         mend = "give the standard uncertainty, or 0: it is exact then"
         raise table.refusal(name, f"the uncertainty {sigma:g} of {name} is below 0", mend)
-    for end in (value - _POSSIBLE * sigma, value + _POSSIBLE * sigma):
+    # how far a place is off from a zero that is not well known may take some rows past an end
+    of_place = name == SOURCE_Z
+    for end in (value - _POSSIBLE * sigma, value + _POSSIBLE * sigma)[of_place:]:
         if (why := judge(name, end)) is not None:
             problem = f"{name} = {value:g} ± {sigma:g} reaches {end:g}: {why[1]}"
             raise table.refusal(name, problem, "give a smaller uncertainty")
-    return Tolerance(part, value, sigma, _farthest(part, sigma)) if sigma else None
+    return Tolerance(part, value, sigma, _farthest(scene, part, sigma)) if sigma else None
 
 
-def _farthest(part: BenchNumber, sigma: float) -> tuple[float, float]:
+def _farthest(scene: SceneFile, part: BenchNumber, sigma: float) -> tuple[float, float]:
     """How far a number may be off where it is wrong, below and above; 0: not at all."""
     name, value = part.parameter, part.value
     assert value is not None  # of a column, or the scene's own
@@ -262,4 +265,7 @@ def _farthest(part: BenchNumber, sigma: float) -> tuple[float, float]:
         shares = (1.0, 0.7, 0.5, 0.4, 0.3, 0.2)
         possible = (share for share in shares if judge(name, value + share * most) is None)
         ends.append(round(next(possible, 0.0) * most, 12))
+    if name == SOURCE_Z and HEIGHT in scene.parameters:
+        # light is born inside the crystal
+        ends = [max(ends[0], -value), min(ends[1], float(scene.parameters[HEIGHT]) - value)]
     return ends[0], ends[1]

@@ -174,6 +174,8 @@ SHORTEST_GAP_MM = 1e-3
 LONGEST_GAP_MM = 10.0
 #: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
 LARGEST_PER_CM = 100.0
+#: Scene parameter: where along the crystal light is born, above its bottom.
+SOURCE_Z = "source_z_mm"
 #: In names of what is thin by nature.
 THIN = ("gap", "film", "chamfer", "depth")
 #: Lengths that may be 0: then the part is not there.

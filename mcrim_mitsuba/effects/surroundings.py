@@ -83,9 +83,15 @@ TOP_REFLECTOR = Effect(
 )
 
 
+def _bare(wrapping: Node) -> set[str]:
+    """What a wrapping leaves out, in its words."""
+    words = wrapping.named("without")
+    return set() if words is None else set(words.get("value", "").replace(",", " ").split())
+
+
 def without_wrapping(scene: SceneFile) -> tuple[str, str] | None:
     """What to say of a scene whose crystal is bare."""
-    if scene.parts.all("shape", "wrapping"):
+    if any(not _bare(shape) >= {"top", "sides"} for shape in scene.parts.all("shape", "wrapping")):
         return None
     return "a wrapping, and the scene has none", 'add <shape type="wrapping"> around the crystal'
 
@@ -100,8 +106,8 @@ def without_film(scene: SceneFile) -> tuple[str, str] | None:
 
 def without_wrapped_sides(scene: SceneFile) -> tuple[str, str] | None:
     """What to say of a scene whose crystal has bare sides."""
-    words = [wrapping.named("without") for wrapping in scene.parts.all("shape", "wrapping")]
-    if words and all(word is not None and "sides" in word.get("value", "") for word in words):
+    wrappings = scene.parts.all("shape", "wrapping")
+    if wrappings and all("sides" in _bare(wrapping) for wrapping in wrappings):
         return "wrapped sides, and the scene has none", "take sides out of the wrapping's without"
     return without_wrapping(scene)
 

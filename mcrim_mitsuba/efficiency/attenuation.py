@@ -15,11 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.core.numbers import ALL_DETECTORS, COUNTED, Value
+from mcrim_mitsuba.core.numbers import ALL_DETECTORS, COUNTED, SOURCE_Z, Value
 from mcrim_mitsuba.efficiency.eta_grid import standard_error
 
-#: Scene parameter: where along the crystal light is born, and in how thick a slab.
-SOURCE_Z = "source_z_mm"
+#: Scene parameter: in how thick a slab light is born.
 SOURCE_WIDTH = "source_width_mm"
 #: Places that tell whether a line is straight, at least.
 _LEAST_PLACES = 3

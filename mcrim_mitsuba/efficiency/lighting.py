@@ -358,9 +358,9 @@ def _grid(simulation: Simulation, cells: Sequence[int]) -> tuple[Array, Array, A
     if crystal.birth_volume != crystal.volume:
         problem = "a beam's photons are not born in the crystal, so that no map shows them"
         raise InputError(problem, "map a scene of light", path=simulation.file.path)
-    if crystal.in_slab:
-        problem = "light is born in a slab, so that no map shows it from everywhere"
-        mend = "let source_width_mm be the crystal's height"
+    if crystal.in_part:
+        problem = "light is born in a part of the crystal, so that no map shows it from everywhere"
+        mend = "let source_width_mm or source_across_mm be all of the crystal"
         raise InputError(problem, mend, path=simulation.file.path)
     mend = "give three whole numbers from 1, such as (10, 10, 10)"
     if not np.iterable(cells) or len(cells := list(cells)) != 3:

@@ -210,7 +210,7 @@ def _emission(simulation: Simulation) -> tuple:
     """Where light is born: its depth below a face, or the axis of a beam."""
     crystal = simulation.crystal
     axis = getattr(crystal, "axis", None)
-    return crystal.source_depth_mm, crystal.side_depth_mm, crystal.in_slab, axis
+    return crystal.source_depth_mm, crystal.side_depth_mm, crystal.in_part, axis
 
 
 def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:

@@ -489,6 +489,8 @@ class ResponseMaker:
             return effect.number.is_of(run.parameters)
         if effect.filled_only and not filled(run.parameters):
             return False
+        if effect.lacks is not None and not effect.acts_in(run.base.with_overrides(run.overrides)):
+            return False
         if effect.of_beam:
             return self._at_own_acceptance(run)
         if effect.name in self._further_parameters():

@@ -19,12 +19,13 @@ from mcrim_mitsuba.core.numbers import (
     ALPHA_SCAT,
     COEFFICIENTS,
     COUNTED,
+    SOURCE_Z,
     Value,
     judge,
     number_of,
 )
 from mcrim_mitsuba.core.run import OverAxes, Run
-from mcrim_mitsuba.efficiency.attenuation import SOURCE_Z, Attenuation, attenuations
+from mcrim_mitsuba.efficiency.attenuation import Attenuation, attenuations
 from mcrim_mitsuba.efficiency.eta_grid import (
     APERTURE,
     has_open_mask,

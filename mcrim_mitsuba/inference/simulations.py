@@ -17,13 +17,13 @@ from mcrim_mitsuba.campaign.entries import NEXT_MINUTES, NEXT_SIGMA
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE, Reading
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, SOURCE_Z, Value
 from mcrim_mitsuba.core.rounding import number
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
 from mcrim_mitsuba.effects.effect import WRONG, Effect
 from mcrim_mitsuba.effects.scene_edits import GAP, HEIGHT, WIDTH
-from mcrim_mitsuba.efficiency.attenuation import SOURCE_WIDTH, SOURCE_Z
+from mcrim_mitsuba.efficiency.attenuation import SOURCE_WIDTH
 from mcrim_mitsuba.efficiency.eta_grid import APERTURE, WINDOW
 from mcrim_mitsuba.efficiency.proposals import Beyond
 from mcrim_mitsuba.efficiency.response_maker import (

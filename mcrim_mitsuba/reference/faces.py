@@ -145,6 +145,8 @@ class FacedBench:
     crystal: str = "crystal"
     #: Lowest and highest z of births, mm, above the crystal's lowest; None: everywhere.
     slab_mm: tuple[float, float] | None = None
+    #: Width of the square column about the crystal's axis in which light is born, mm.
+    across_mm: float = math.inf
     #: The detector whose light eta is of; empty: all of them.
     read: str = ""
     polarised: bool = False
@@ -223,6 +225,9 @@ class FacedBench:
         if self.slab_mm is not None:
             high[2] = min(high[2], low[2] + self.slab_mm[1])
             low[2] = max(low[2], low[2] + self.slab_mm[0])
+        middle = (low + high)[:2] / 2.0
+        low[:2] = np.maximum(low[:2], middle - self.across_mm / 2.0)
+        high[:2] = np.minimum(high[:2], middle + self.across_mm / 2.0)
         for axis, ends in zip("xyz", zip(low, high, strict=True), strict=True):
             birth[f"{axis}0"], birth[f"{axis}1"] = ends
         return tables, birth

@@ -86,6 +86,7 @@ def read_bench(file: SceneFile) -> FacedBench:
         birth=_birth(emitter),
         crystal=crystal.get("id", ""),
         slab_mm=_slab(emitter),
+        across_mm=emitter.number("source_across_mm", math.inf),
         read="" if detector == "all" else detector,
         polarised=integrator.flag("polarization"),
         most_flights=int(depth) if depth else None,

@@ -168,7 +168,8 @@ class CrystalVolume:
     `volume` is the medium's index among ``model.volumes``. Births fall with the depth below the
     top, or with the distance from the side of the lowest x, as exp(-depth / ``source_depth_mm``, or
     ``side_depth_mm``); infinite: evenly. One of the two at most is finite. They may be in a slab
-    alone, which is told by the height of its middle above the bottom and its thickness.
+    alone, which is told by the height of its middle above the bottom and its thickness, or in an
+    upright square column about the middle, so wide across.
 
     Raises InputError if the slab lies outside of the volume, or if births fall along its thickness.
     """
@@ -183,6 +184,7 @@ class CrystalVolume:
         source_depth_mm: float = np.inf,
         side_depth_mm: float = np.inf,
         slab_mm: tuple[float, float] = NO_SLAB_MM,
+        across_mm: float = np.inf,
     ) -> None:
         self.model, self.volume = model, volume
         #: Index of the volume that photons are in at birth.
@@ -196,6 +198,7 @@ class CrystalVolume:
         #: That of the births, likewise.
         self.born_lower, self.born_upper = self.lower.copy(), self.upper.copy()
         self._limit_to_slab(*slab_mm)
+        self._limit_across(across_mm)
         # the height, or width, in depths, which is all that the distribution of depths needs
         length_mm = float(self.upper[self._axis] - self.lower[self._axis])
         steepness = length_mm / min(source_depth_mm, side_depth_mm)
@@ -208,8 +211,11 @@ class CrystalVolume:
         self.frame = _parallelepiped([f for f in model.faces or () if f.surface in owned])
         if self.frame is not None and self._steepness:
             self.frame = _along(self._axis, self.frame)
-        if self.frame is not None and self.in_slab:
-            self.frame = _between(self.born_lower[2], self.born_upper[2], self.frame)
+        for axis in self._limited if self.frame is not None else ():
+            if self.frame is not None:
+                self.frame = _between(
+                    axis, self.born_lower[axis], self.born_upper[axis], self.frame
+                )
         if model.faces is not None and self.frame is None:
             self._solid = next((s for s in convex_solids(model) if s.volume == volume), None)
         if self.frame is not None:
@@ -218,7 +224,7 @@ class CrystalVolume:
         self.circle = None if self._solid is None else self._solid.circle
         if self.circle is not None:
             axes = {self._axis} if self._steepness else set()
-            if (axes | ({2} if self.in_slab else set())) - {self.circle.axis}:
+            if (axes | self._limited) - {self.circle.axis}:
                 self.circle = None
         if self.circle is not None:
             middle = (self.lower + self.upper) / 2.0
@@ -228,9 +234,24 @@ class CrystalVolume:
             self._length = opaque([(self.born_upper - self.born_lower)[self.circle.axis]])
 
     @property
-    def in_slab(self) -> bool:
-        """Whether light is born in a slab alone."""
-        return bool(self.born_upper[2] - self.born_lower[2] < self.upper[2] - self.lower[2])
+    def in_part(self) -> bool:
+        """Whether light is born in a slab or a column alone."""
+        return bool(self._limited)
+
+    @property
+    def _limited(self) -> set[int]:
+        """Axes along which births do not take all of the volume."""
+        less = self.born_upper - self.born_lower < self.upper - self.lower
+        return set(np.flatnonzero(less).tolist())
+
+    def _limit_across(self, across_mm: float) -> None:
+        """Let light be born in a square column about the middle alone, unless that covers all."""
+        if self.side_depth_mm < np.inf > across_mm:
+            problem = "light is born in a column and falls with the distance from a side"
+            raise InputError(problem, "give source_across_mm or side_depth_mm")
+        middle = (self.lower + self.upper)[:2] / 2.0
+        self.born_lower[:2] = np.maximum(self.lower[:2], middle - across_mm / 2.0)
+        self.born_upper[:2] = np.minimum(self.upper[:2], middle + across_mm / 2.0)
 
     def _limit_to_slab(self, middle_mm: float, width_mm: float) -> None:
         """Let light be born in a slab alone, unless that covers the volume."""
@@ -243,7 +264,7 @@ class CrystalVolume:
             problem = f"light is born from {low:g} to {high:g} mm above the crystal's bottom"
             mend = f"give source_z_mm and source_width_mm a slab within 0 to {height_mm:g} mm"
             raise InputError(f"{problem}, outside of it", mend)
-        if self.source_depth_mm < np.inf:
+        if height_mm / self.source_depth_mm > EVEN_BELOW:
             problem = "light is born in a slab and falls with the depth below the top"
             raise InputError(problem, "give source_z_mm or source_depth_mm")
         self.born_lower[2] = self.lower[2] + max(low, 0.0)
@@ -458,18 +479,19 @@ def _along(axis: int, frame):
     return None if abs(edges[1][axis]) > 1e-6 * np.abs(edges).max() else (corner, *edges)
 
 
-def _between(low_mm: float, high_mm: float, frame):
-    """The part of a parallelepiped between two levels, its edges in their order.
+def _between(axis: int, low_mm: float, high_mm: float, frame):
+    """The part of a parallelepiped between two places along an axis, its edges in their order.
 
-    ``None`` if more than one edge rises.
+    ``None`` if more than one edge goes along it.
     """
     corner, *edges = frame
-    rises = [abs(edge[2]) > 1e-6 * np.abs(edges).max() for edge in edges]
-    if sum(rises) != 1:
+    along = [abs(edge[axis]) > 1e-6 * np.abs(edges).max() for edge in edges]
+    if sum(along) != 1:
         return None
-    up = rises.index(True)
-    ends = [corner + edges[up] * ((z - corner[2]) / edges[up][2]) for z in (low_mm, high_mm)]
-    start, end = ends if edges[up][2] > 0.0 else reversed(ends)
+    up = along.index(True)
+    edge = edges[up]
+    ends = [corner + edge * ((x - corner[axis]) / edge[axis]) for x in (low_mm, high_mm)]
+    start, end = ends if edge[axis] > 0.0 else reversed(ends)
     edges[up] = end - start
     return (start, *edges)
 

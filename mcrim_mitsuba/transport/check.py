@@ -303,9 +303,13 @@ def _emission(crystal: CrystalVolume) -> str:
         where = f"falling to 1/e every {crystal.source_depth_mm:g} mm below its top"
     if np.isfinite(crystal.side_depth_mm):
         where = f"falling to 1/e every {crystal.side_depth_mm:g} mm from its side of the lowest x"
-    if crystal.in_slab:
+    extent = crystal.born_upper - crystal.born_lower
+    whole = crystal.upper - crystal.lower
+    if extent[2] < whole[2]:
         levels = (crystal.born_lower[2], crystal.born_upper[2]) - crystal.lower[2]
         where += ", from {:.5g} to {:.5g} mm above its bottom only".format(*levels)
+    if extent[0] < whole[0]:
+        where += f", within {extent[0]:.5g} mm about its axis only"
     return f"photons are born in it, {where} and in all directions"
 
 

@@ -123,6 +123,9 @@ class ScintillationEmitter(mi.Emitter):
         what of it lies in the crystal. Not beside ``source_depth_mm``.
     ``source_z_mm`` : float
         Height of the middle of that slab above the bottom of the crystal.
+    ``source_across_mm`` : float, default infinite
+        Light is born in an upright square column alone, so wide, about the axis of the crystal, as
+        of a beam of gammas from above. Not beside ``side_depth_mm``.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -144,6 +147,7 @@ class ScintillationEmitter(mi.Emitter):
         if self.source_width_mm < math.inf and "source_z_mm" not in props:
             raise ValueError("source_width_mm without source_z_mm; give the middle of the slab")
         self.source_z_mm = float(props.get("source_z_mm", 0.0))
+        self.source_across_mm = number(props, "source_across_mm", math.inf, SLIMMEST_MM, math.inf)
         self.m_flags = +mi.EmitterFlags.Empty
         self.m_needs_sample_2 = True
         self.m_needs_sample_3 = True
@@ -157,7 +161,8 @@ class ScintillationEmitter(mi.Emitter):
         """
         number = model.volume_index(self.medium)
         depths = self.source_depth_mm, self.side_depth_mm
-        return CrystalVolume(model, number, *depths, (self.source_z_mm, self.source_width_mm))
+        slab = self.source_z_mm, self.source_width_mm
+        return CrystalVolume(model, number, *depths, slab, self.source_across_mm)
 
     def _among_all_shapes(self) -> CrystalVolume:
         """The crystal's volume, from those of all living shapes that border the medium.
@@ -205,13 +210,16 @@ class ScintillationEmitter(mi.Emitter):
     def bbox(self):
         return mi.ScalarBoundingBox3f()
 
-    traverse, _ = described("source_depth_mm", "side_depth_mm", "source_z_mm", "source_width_mm")
+    traverse, _ = described(
+        "source_depth_mm", "side_depth_mm", "source_z_mm", "source_width_mm", "source_across_mm"
+    )
 
     def to_string(self) -> str:
         return (
             f"ScintillationEmitter[medium = {self.medium.id()}, "
             f"source_depth_mm = {self.source_depth_mm}, side_depth_mm = {self.side_depth_mm}, "
-            f"source_z_mm = {self.source_z_mm}, source_width_mm = {self.source_width_mm}]"
+            f"source_z_mm = {self.source_z_mm}, source_width_mm = {self.source_width_mm}, "
+            f"source_across_mm = {self.source_across_mm}]"
         )
 
 

@@ -20,6 +20,8 @@ _AROUND = 180
 #: What ``without`` may name besides the sides of four.
 TOP = "top"
 SIDES = "sides"
+#: That nothing is left out.
+NONE = "none"
 #: The plane on which what is wrapped stands.
 FOOT = "foot"
 #: Of four sides, in the order of `regular_polygon`.
@@ -44,8 +46,8 @@ class Wrapping(Polygons):
         Thickness of the air between it and the reflector. 0 is paint: the reflector is on the faces
         themselves, and light meets it at once, from inside and from outside.
     ``without`` : string, optional
-        What is left out: ``top`` or ``sides``, and of four sides ``right``, ``left`` (of x),
-        ``back``, ``front`` (of y), with blanks between.
+        What is left out: ``top``, ``sides``, and of four sides ``right``, ``left`` (of x),
+        ``back``, ``front`` (of y), with blanks between; or ``none``.
     ``missing`` : float, default 0
         Part of the sides, from their foot upwards, that is bare; below 1.
     ``contact`` : float, default 0
@@ -79,10 +81,11 @@ class Wrapping(Polygons):
         self.bare = self.height * number(props, "missing", 0.0, high=0.99)
         count = _AROUND if self.round else sides_of(props)
         sides = FOUR if count == 4 else (SIDES,) * count
-        self.without = str(props.get("without", "")).replace(",", " ").split()
+        words = str(props.get("without", NONE)).replace(",", " ").split()
+        self.without = [] if words == [NONE] else words
         for word in self.without:
             if word not in (known := (TOP, *dict.fromkeys((SIDES, *sides)))):
-                mend = did_you_mean(word, known)
+                mend = did_you_mean(word, (*known, NONE))
                 raise ValueError(f"a wrapping's without is {word!r}: {mend}")
         names = (TOP, FOOT, *sides)
         #: What bounds what is wrapped: whether it is left out, normals outwards, shape (n, 3), and
@@ -90,8 +93,6 @@ class Wrapping(Polygons):
         self.open = np.array(
             [n in self.without or (n in sides and SIDES in self.without) for n in names]
         )
-        if self.open.sum() == len(names) - 1:
-            raise ValueError("a wrapping without top and sides is none; leave it out")
         angles = 2.0 * np.pi / count * np.arange(count)
         normals = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(count)])
         self.normals = np.vstack([(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), normals]) @ turn.T
