@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.entries import choice, number_within
 from mcrim_mitsuba.campaign.known_physics import with_known_physics
@@ -297,6 +299,8 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         for parameter in effect.parameters
         if parameter.nominal is None
     }
+    light = [row.signal for row in measurements.readings if not row.of_beam]
+    effects = {name: effect.beside(np.array(light)) for name, effect in effects.items()}
     tolerances = read_tolerances(document, scene, measurements, sizes)
     wrong = wrong_numbers(tolerances)
     campaign = Campaign(

@@ -7,7 +7,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -112,6 +112,9 @@ class EffectParameter:
     #: ``plausible_beside(signals)`` -> what is plausible beside readings of light, in their unit,
     #: where that depends on them.
     plausible_beside: Callable[[np.ndarray], tuple[float, float]] | None = None
+    #: ``range_beside(signals)`` -> minimum and maximum beside such readings, where that depends on
+    #: their unit.
+    range_beside: Callable[[np.ndarray], tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
         """Refuse (ValueError) what makes no sense in a catalogue, before anything is simulated."""
@@ -303,6 +306,18 @@ class Effect:
         needed = (*nominal, *self.needs, *(["n_gap"] if self.filled_only else []))
         numbers = (name for name in needed if not isinstance(parameters.get(name), float))
         return next(numbers, None)
+
+    def beside(self, signals: np.ndarray) -> Effect:
+        """The effect with ranges in the unit of readings of light, (readings,) float64."""
+        if not len(signals) or all(p.range_beside is None for p in self.parameters):
+            return self
+        parameters = []
+        for parameter in self.parameters:
+            if parameter.range_beside is not None:
+                low, high = parameter.range_beside(signals)
+                parameter = replace(parameter, minimum=low, maximum=high)
+            parameters.append(parameter)
+        return replace(self, parameters=tuple(parameters))
 
     @property
     def switched_off(self) -> dict[str, float] | None:

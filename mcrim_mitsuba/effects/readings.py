@@ -63,6 +63,15 @@ def plausible_beside_nonlinearity(signals: np.ndarray) -> tuple[float, float]:
     return -0.1 / largest, 0.2 / largest
 
 
+def range_beside_nonlinearity(signals: np.ndarray) -> tuple[float, float]:
+    """Wide enough for signals of many units and of a part of one: 1 / k is what is never read."""
+    largest = float(signals.max())
+    low, high = -0.05, 0.05
+    if plausible_beside_nonlinearity(signals)[1] <= high:
+        return low, high
+    return -0.5 / largest, 1.5 / largest
+
+
 NONLINEARITY = Effect(
     name="nonlinearity",
     title="nonlinear readout",
@@ -93,6 +102,7 @@ NONLINEARITY = Effect(
             plausible=(-0.01, 0.01),
             nodes=(),
             plausible_beside=plausible_beside_nonlinearity,
+            range_beside=range_beside_nonlinearity,
         ),
     ),
     reading=reading_nonlinearity,

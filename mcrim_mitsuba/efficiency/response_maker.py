@@ -680,7 +680,8 @@ def _as_effect(campaign: Campaign, name: str) -> Effect:
     parameter = (
         EffectParameter(name=name, unit="", meaning="a parameter of the scene", **fields)
         if size is None
-        else replace(size, **fields)
+        # its nodes were chosen about an absent value, which a polynomial through them needs
+        else replace(size, kinked=True, **fields)
     )
     # nothing to be written into the scene: it has the parameter
     return Effect(name, name, "", "", parameters=(parameter,), edit=lambda editor: None)

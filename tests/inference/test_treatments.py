@@ -1,0 +1,208 @@
+"""Rows that switch effects, sizes that are shared, and several lines.
+
+Statistical tests have fixed seeds and state their false-alarm level.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from places import SCENES, cases_of
+from refusals import refusal
+from scipy import stats
+
+from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.editor import campaign_with_effects, measurements_text
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.inference.drivers import find_minima
+from mcrim_mitsuba.inference.fit import fit_model, result_of
+from mcrim_mitsuba.inference.repair import mended_scene, scene_text
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.inference.statistic import Statistic
+from mcrim_mitsuba.output.public import simulate
+from mcrim_mitsuba.transport.launch_plan import LANES
+
+cases = cases_of(__file__)
+
+CSV = """label,signal,sigma,ground_top,ground_side,wrap_contact,nonlinearity,energy_keV
+polished,1.0,0.05,0,0,0,0,511
+top,1.5,0.05,1,0,0,1,511
+sides,0.4,0.02,0,1,0,1,511
+both,0.4,0.02,1,1,1,1,511
+both high,0.9,0.02,1,1,1,1,1275
+both higher,0.9,0.03,1,1,1,1,1400
+"""
+TEXT = f"""scene = '{SCENES / "gagg" / "gagg.xml"}'
+measurements = "rows.csv"
+effects = ["ground_side", "ground_top"]
+[parameters.ground_side_alpha]
+start = 0.3
+min = 0.1
+max = 0.8
+[parameters.ground_top_alpha]
+same_as = "ground_side_alpha"
+[parameters.alpha_scat_per_cm]
+start = 0.05
+[parameters.alpha_abs_per_cm]
+start = 0.02
+prior = 0.02
+prior_sigma = 0.005
+[tolerances]
+none = true
+"""
+TRUTH = {
+    "ground_side_alpha": 0.45,
+    "alpha_scat_per_cm": 0.08,
+    "alpha_abs_per_cm": 0.022,
+    "scale": 2.0,
+}
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(text=TEXT, rows=CSV):
+        (tmp_path / "rows.csv").write_text(rows)
+        (tmp_path / "campaign.toml").write_text(text)
+        return read_campaign(tmp_path / "campaign.toml")
+
+    return read
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    """The shipped bar of six finishes, its numbers exact, and its model."""
+    campaign = dataclasses.replace(read_campaign(SCENES / "gagg" / "gagg.toml"), tolerances=())
+    return campaign, CampaignSimulations(campaign, Run(4 * LANES, seed=5)).models.model()
+
+
+def test_each_finish_is_predicted_as_it_is_simulated(shipped):
+    """One fit of 1000 says otherwise: sizes far from where they begin, rows by their own scenes."""
+    campaign, model = shipped
+    sizes = {n: TRUTH[n] for n in ("ground_side_alpha", "alpha_scat_per_cm", "alpha_abs_per_cm")}
+    theta = np.array([{**sizes, "scale": 1.0}[parameter.name] for parameter in model.free])
+    predicted = model.predict(theta, check=True)
+    away = []
+    for row, eta, sigma in zip(model.readings, predicted.eta, predicted.eta_sigma, strict=True):
+        ground = {n: 0.45 for n in ("top", "side", "bottom") if f"ground_{n}" not in row.without}
+        alphas = {f"ground_{n}_alpha": ground.get(n, 0.0) for n in ("top", "side", "bottom")}
+        values = {**campaign.scene.parameters, **sizes, **alphas}
+        scene = campaign.scene.with_overrides(values)
+        slow = simulate(scene, photons=200_000, seed=9)
+        away.append((eta - slow.eta) / np.hypot(sigma, slow.eta_sigma))
+    assert np.square(away).sum() < stats.chi2.ppf(0.999, len(away)), away
+
+
+def test_shared_sizes_are_found_again(shipped):
+    """Pulls of 100 campaigns: each limit fails one test of 1000."""
+    campaign, model = shipped
+    names = [parameter.name for parameter in model.free]
+    truth = np.array([TRUTH[name] for name in names])
+    true = model.predict(truth).signal
+    rng, pulls = np.random.default_rng(11), []
+    for _ in range(100):
+        drawn = true * (1.0 + 0.01 * rng.standard_normal(len(true)))
+        prior = 0.022 + 0.002 * rng.standard_normal()
+        rows = [
+            dataclasses.replace(row, signal=signal, sigma=0.01 * at)
+            for row, signal, at in zip(model.readings, drawn, true, strict=True)
+        ]
+        measured = dataclasses.replace(campaign.measurements, readings=tuple(rows))
+        drawn_campaign = dataclasses.replace(campaign, measurements=measured)
+        drawn_campaign = drawn_campaign.with_priors({"alpha_abs_per_cm": (prior, 0.002)})
+        drawn_model = type(model)(drawn_campaign, model.responses, drawn_campaign.switched_on)
+        fit = result_of(find_minima(Statistic(drawn_model)), profile=False)
+        sigmas = [fit.parameters[name].sigma for name in names]
+        pulls.append((np.array([fit.values[name] for name in names]) - truth) / sigmas)
+    # Monte Carlo noise is part of the errors and not of these readings, which are the model's own
+    low, high = np.sqrt(stats.chi2.ppf([0.0005, 0.9995], 100) / 100)
+    assert (np.std(pulls, axis=0) < high).all(), np.std(pulls, axis=0)
+    assert (np.std(pulls, axis=0) > 0.8 * low).all(), np.std(pulls, axis=0)
+    assert (np.abs(np.mean(pulls, axis=0)) < 3.5 / 10).all(), np.mean(pulls, axis=0)
+
+
+def test_a_switch_masks_what_only_weighs_or_reads(read):
+    """A column of an effect that is not switched on is of a candidate, which acts on its rows."""
+    campaign = read(TEXT.replace('"ground_top"]', '"ground_top", "nonlinearity"]'))
+    assert campaign.effects == ("nonlinearity",)
+    simulations = CampaignSimulations(campaign, Run(LANES, seed=2, check=False))
+    models = simulations.simulate(["wrap_contact", "ground_loss"])
+    on = np.array([0, 0, 0, 1, 1, 1], dtype=bool)
+    moved = np.abs(models.responses.effects["wrap_contact"].log_ratio).max(axis=(0, 2, 3))
+    assert ((moved > 0) == on).all()
+    # what acts on ground faces has nothing to act on where none is
+    moved = np.abs(models.responses.effects["ground_loss"].log_ratio).max(axis=(0, 2, 3))
+    assert ((moved > 0) == [False, True, True, True, True, True]).all()
+    model = models.model()
+    start = {parameter.name: parameter.start for parameter in model.free} | {"scale": 2.0}
+    bent = {**start, "nonlinearity": 0.3}
+    plain, read_bent = (
+        model.predict(np.array([values[p.name] for p in model.free])).signal
+        for values in ({**start, "nonlinearity": 0.0}, bent)
+    )
+    assert read_bent == pytest.approx(plain / (1 + 0.3 * plain * (np.arange(6) > 0)), rel=1e-12)
+
+
+def test_light_is_in_proportion_to_the_energy(read):
+    """Of one configuration, but for a scintillator that is not proportional, with its slope."""
+    campaign = read().with_effects(["non_proportionality"])
+    simulations = CampaignSimulations(campaign, Run(LANES, seed=2, check=False))
+    model = simulations.models.model()
+    values = {p.name: p.start for p in model.free} | {"scale": 2.0, "non_proportionality": 0.1}
+    theta = np.array([values[p.name] for p in model.free])
+    signal = model.predict(theta).signal
+    ratio = np.array([511.0, 1275.0, 1400.0]) / 511.0
+    assert signal[3:] / signal[3] == pytest.approx(ratio**1.1, rel=1e-12)
+    assert model.predict_many(theta[None])[0] == pytest.approx(signal, rel=1e-6)
+    column = [p.name for p in model.free].index("non_proportionality")
+    step = np.eye(len(theta))[column] * 1e-5
+    slope = (model.predict(theta + step).signal - model.predict(theta - step).signal) / 2e-5
+    assert model.predict(theta).signal_slopes[:, column] == pytest.approx(slope, rel=1e-6)
+
+
+def test_a_second_line_tells_a_bent_readout_from_all_else(read):
+    """A readout that bends by 30 % is found with the second line, and hides without it."""
+    rows = CSV.replace("nonlinearity,", "").replace(",0,511", ",511").replace(",1,511", ",511")
+    rows = rows.replace(",1,1275", ",1275").replace(",1,1400", ",1400")
+    campaign = read(TEXT, rows).with_effects(["nonlinearity"])
+    model = CampaignSimulations(campaign, Run(4 * LANES, seed=2)).models.model()
+    values = {p.name: p.start for p in model.free} | {"scale": 2.0, "nonlinearity": 0.3}
+    true = model.predict(np.array([values[p.name] for p in model.free])).signal
+
+    def size_of(used):
+        readings = tuple(
+            dataclasses.replace(row, signal=at, sigma=0.01 * at, use=on)
+            for row, at, on in zip(model.readings, true, used, strict=True)
+        )
+        measured = dataclasses.replace(campaign.measurements, readings=readings)
+        own = dataclasses.replace(campaign, measurements=measured)
+        fit = fit_model(type(model)(own, model.responses, own.switched_on))
+        return fit.parameters["nonlinearity"]
+
+    both, one = size_of([True] * 6), size_of([True] * 4 + [False] * 2)
+    assert both.value == pytest.approx(0.3, abs=2 * both.sigma) and both.sigma < 0.05
+    assert one.sigma > 4 * both.sigma
+
+
+@cases("before", "after", "where", "says")
+def test_bad_treatments_are_refused_in_one_line(read, before, after, where, says):
+    text, rows = TEXT, CSV
+    assert (before in text) != (before in rows), before
+    message = refusal(read, text.replace(before, after), rows.replace(before, after))
+    assert where in message and says in message, message
+
+
+def test_what_was_switched_is_written_and_read_again(read, tmp_path):
+    """A mended campaign has the effects in its scene, and its columns still switch them."""
+    campaign = read()
+    written = measurements_text(campaign.measurements)
+    (tmp_path / "rows.csv").write_text(written)
+    assert read(rows=written).measurements.readings == campaign.measurements.readings
+    target = tmp_path / "mended.toml"
+    scene = mended_scene(campaign, (), {"ground_side_alpha": 0.4, "ground_top_alpha": 0.4})
+    (tmp_path / "mended.xml").write_text(scene_text(scene))
+    starts = {"ground_side_alpha": 0.4}
+    target.write_text(campaign_with_effects(campaign, target, target.with_suffix(".xml"), starts))
+    again = read_campaign(target)
+    assert (again.treatments, again.ties) == (campaign.treatments, campaign.ties)
+    assert again.scene.parameters["ground_top_alpha"] == 0.4
+    assert again.measurements.readings[0].parameters["ground_top_alpha"] == 0.0
