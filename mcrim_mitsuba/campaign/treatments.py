@@ -3,7 +3,8 @@
 A column of the measurements that is named after an effect says with 0 and 1 which rows have it. An
 effect that the campaign switches on besides is put into the scene at the size that its fit begins
 with, so that all else is simulated beside it, and rows without it have the value that takes it out.
-Its size is shared by its rows, and by other effects where a tie says so.
+Its size is shared by its rows, and by other effects where a tie says so. A column may switch a
+part of the scene too: a wrapping, by its id, or one of its faces.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from mcrim_mitsuba.core.numbers import COEFFICIENTS
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.effects.scene_edits import set_part
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -32,9 +34,22 @@ _PARAMETERS = "parameters"
 def switchable(
     effects: Mapping[str, Effect], scene: SceneFile, document: TomlDocument
 ) -> list[str]:
-    """Effects that a column may switch: not what is a number of the scene that rows may give."""
+    """What a column may switch, parts and effects: not what is a number that rows may give."""
     fitted = {*document.table(_PARAMETERS), *map(str, document.content.get("effects", []))}
-    return [name for name in effects if name not in scene.parameters or name in fitted]
+    names = [*_parts_of(scene), *effects]
+    return [name for name in names if name not in scene.parameters or name in fitted]
+
+
+def _parts_of(scene: SceneFile) -> dict[str, tuple[str, str]]:
+    """Wrappings by their ids, and faces of a single one: which it is, and what it then lacks."""
+    wrappings = {node.get("id", ""): node for node in scene.parts.all("shape", "wrapping")}
+    parts = {name: (name, "top sides") for name in wrappings if name}
+    if len(wrappings) == 1:
+        ((name, wrapping),) = wrappings.items()
+        four = wrapping.named("diameter") is None and wrapping.named("sides") is None
+        faces = ("top", "sides", *(("right", "left", "back", "front") if four else ()))
+        parts |= {face: (name, face) for face in faces}
+    return parts
 
 
 def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
@@ -44,6 +59,7 @@ def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
     shares its size cannot be taken out of a scene.
     """
     _refuse_idle(campaign.measurements)
+    campaign = _with_bare_faces(campaign)
     ties = _read_ties(document, campaign)
     tied = {*ties, *ties.values()}
     switches = campaign.measurements.switches
@@ -69,7 +85,7 @@ def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
     out = {
         name: campaign.catalogue[name].switched_off or {}
         for name in switches
-        if campaign.catalogue[name].is_in(scene)
+        if name in campaign.catalogue and campaign.catalogue[name].is_in(scene)
     }
     readings = []
     for reading in campaign.measurements.readings:
@@ -82,6 +98,49 @@ def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
         effects=tuple(name for name in campaign.effects if name not in treatments),
         treatments=treatments,
         ties=ties,
+    )
+
+
+def _with_bare_faces(campaign: Campaign) -> Campaign:
+    """The campaign with the faces that its rows leave bare as a parameter of each wrapping."""
+    parts = _parts_of(campaign.scene)
+    switched = {name: parts[name] for name in campaign.measurements.switches if name in parts}
+    if not switched:
+        return campaign
+    editor = SceneEditor(campaign.scene, {})
+    parameters: dict[str, tuple[str, str]] = {}
+    for wrapping in editor.shapes:
+        name = wrapping.get("id", "")
+        if wrapping.type != "wrapping" or name not in {of for of, _ in switched.values()}:
+            continue
+        part = wrapping.named("without")
+        given = "" if part is None else part.get("value", "")
+        parameter = given.removeprefix("$") if given.startswith("$") else f"{name}_without"
+        usual = str(campaign.scene.parameters.get(parameter, given or "none"))
+        parameters[name] = parameter, usual
+        if given == f"${parameter}":
+            continue
+        editor.declare(parameter, usual, f"Faces that {name or 'the wrapping'} leaves bare")
+        if part is None:
+            xml = f'<string name="without" value="${parameter}"/>'
+            set_part(editor, [wrapping], "without", xml)
+        else:
+            editor.set_attribute(part, "value", f"${parameter}")
+    readings = []
+    for reading in campaign.measurements.readings:
+        values = dict(reading.parameters)
+        for name, (parameter, usual) in parameters.items():
+            bare = [usual] if usual != "none" else []
+            off = (switched[n] for n in reading.without if n in switched)
+            bare += [faces for of, faces in off if of == name]
+            if reading.without:
+                words = dict.fromkeys(" ".join(bare).replace(",", " ").split())
+                values[parameter] = " ".join(words) or "none"
+        readings.append(replace(reading, parameters=values))
+    return replace(
+        campaign,
+        scene=campaign.scene.edited(editor.finished()),
+        measurements=replace(campaign.measurements, readings=tuple(readings)),
     )
 
 

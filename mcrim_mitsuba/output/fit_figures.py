@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -13,6 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from mcrim_mitsuba.core.numbers import SOURCE_Z, said, titled
 from mcrim_mitsuba.core.rounding import number, p_equals, pdg
 from mcrim_mitsuba.inference.compare import Comparison, Suspect
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow
@@ -37,6 +39,8 @@ _NO_LONGER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.6", "ls": ":"
 _DASH = 0.32
 #: How far before and after stand apart.
 _APART = 0.13
+#: Readings along one number of the bench that make a curve, at least.
+_LEAST_IN_A_SERIES = 4
 #: How far hypotheses stand apart.
 _BESIDE = 0.24
 #: Inches of a reading's width.
@@ -71,6 +75,10 @@ def draw_comparison(
     Only a comparison knows of suspect readings. What was added is for the legend; the unit is that
     of the signals of light, the measurement file's where it is not known.
     """
+    if (series := _series_of(before)) is not None:
+        figure = _draw_along(series, before, after, unit)
+        suspects = {label: s.kind for s in _suspects(before)[::-1] for label in s.labels}
+        return style.Drawing(figure, *_comparison_numbers(before, after, suspects))
     figure, upper, lower = _over_readings(before.rows, (1.4, 1))
     places = np.arange(len(before.rows))
     _draw_signals(upper, places, before, after, unit)
@@ -89,6 +97,79 @@ def draw_comparison(
         if row.label in suspects:
             tick.set(fontweight="bold", color=style.WARM if after is None else style.GREY)
     return style.Drawing(figure, *_comparison_numbers(before, after, suspects))
+
+
+class _Series(NamedTuple):
+    """Readings that differ in one number of the bench, and otherwise by a few treatments."""
+
+    parameter: str
+    #: (readings,) float64: That number of every reading.
+    values: np.ndarray
+    #: Places of readings by what they have in common, in words.
+    members: dict[str, list[int]]
+
+
+def _series_of(fit: Calibration) -> _Series | None:
+    """The number along which readings are drawn as curves; None where there is none.
+
+    It is where light is born, as nobody reads what differs in that as single configurations.
+    """
+    readings = fit.model.readings
+    if not all(SOURCE_Z in reading.parameters for reading in readings):
+        return None
+    values = np.array([float(reading.parameters[SOURCE_Z]) for reading in readings])
+    members: dict[str, list[int]] = {}
+    columns = [n for n in fit.model.campaign.measurements.columns if n != SOURCE_Z]
+    for place, reading in enumerate(readings):
+        others = [said(n, reading.parameters[n]) for n in columns if n in reading.parameters]
+        if reading.without:
+            others.append(f"without {' and '.join(reading.without)}")
+        if reading.energy_keV is not None:
+            others.append(f"{reading.energy_keV:g} keV")
+        members.setdefault(", ".join([reading.sample, *others]).strip(" ,"), []).append(place)
+    enough = max(map(len, members.values())) >= _LEAST_IN_A_SERIES
+    return _Series(SOURCE_Z, values, members) if enough else None
+
+
+def _draw_along(
+    series: _Series, before: Calibration, after: Calibration | None, unit: str
+) -> Figure:
+    """A curve for each treatment over one number of the bench, and its pulls below."""
+    figure = style.canvas(8.6, 7.4)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.7, 1))
+    lower.axhspan(-2, 2, color="0.93", lw=0)
+    lower.axhspan(-1, 1, color="0.85", lw=0)
+    fits = [(before, (0, (2.2, 1.2))), *([(after, "-")] if after is not None else [])]
+    shown = fits[-1][0]
+    colours = colormaps["viridis"](np.linspace(0.0, 0.85, len(series.members)))
+    handles: list[Any] = []
+    for (words, places), colour in zip(series.members.items(), colours, strict=True):
+        places = sorted(places, key=lambda place: series.values[place])
+        for fit, line_style in fits:
+            models = [fit.rows[place].model for place in places]
+            upper.plot(series.values[places], models, color=colour, lw=1.8, ls=line_style)
+        for place in places:
+            row, at = shown.rows[place], series.values[place]
+            look: dict[str, Any] = {"color": colour, "mfc": colour if row.use else "white"}
+            upper.errorbar(at, row.measured, row.sigma, fmt="o", ms=4.5, capsize=2.5, **look)
+            lower.plot(at, row.pull, "o", ms=4.5, **look)
+        label = style.shortened(words or "readings", 48)
+        handles.append(Line2D([], [], label=label, color=colour, marker="o", lw=1.8))
+    names = ("as it is", "mended") if after is not None else ("model",)
+    for (fit, line_style), name in zip(fits, names, strict=True):
+        label = f"{name}: χ² = {number(round(fit.chi2, 6))}, ndf {fit.ndf}"
+        handles.append(Line2D([], [], label=label, color=style.GREY, ls=line_style))
+    if not all(row.use for row in shown.rows):
+        open_mark: dict[str, Any] = _OPEN | {"color": style.GREY, "ls": ""}
+        handles.append(Line2D([], [], label="reading not used", **open_mark))
+    upper.set_ylabel(style.signal_title(unit, "\n"), parse_math=False)
+    upper.set_ylim(bottom=0.0)
+    lower.set_xlabel(titled(series.parameter))
+    lower.set_ylabel("pull (standard errors;\nbands: ±1 and ±2)")
+    for axes in (upper, lower):
+        style.open_axes(axes, "y")
+    style.legend_above(upper, handles, ncols=2, handlelength=2.2)
+    return figure
 
 
 def _comparison_numbers(

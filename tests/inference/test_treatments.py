@@ -20,6 +20,7 @@ from mcrim_mitsuba.inference.repair import mended_scene, scene_text
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.output.public import simulate
+from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 cases = cases_of(__file__)
@@ -118,6 +119,31 @@ def test_shared_sizes_are_found_again(shipped):
     assert (np.std(pulls, axis=0) < high).all(), np.std(pulls, axis=0)
     assert (np.std(pulls, axis=0) > 0.8 * low).all(), np.std(pulls, axis=0)
     assert (np.abs(np.mean(pulls, axis=0)) < 3.5 / 10).all(), np.mean(pulls, axis=0)
+
+
+def test_columns_take_a_wrapping_off(read):
+    """By its id, or a face: what is left is as if it was written so."""
+    rows = "label,signal,sigma,wrapping,n_gap\nwrapped,3,0.1,1,1.46\nbare,1,0.1,0,1.46\n"
+    scene = SCENES / "lyso_teflon.xml"
+    text = f"scene = '{scene}'\nmeasurements = 'rows.csv'\n[parameters.alpha_scat_per_cm]\n"
+    text += "start = 0.05\nfixed = true\n[parameters.alpha_abs_per_cm]\nstart = 0.03\n"
+    text += "fixed = true\n[tolerances]\nnone = true\n"
+    faces = rows.replace("wrapping", "sides").replace("bare,", "side bare,")
+    for csv, without in ((rows, "top sides"), (faces, "sides")):
+        campaign = read(text, csv)
+        bare = campaign.scene.with_overrides(campaign.measurements.readings[1].parameters)
+        assert without in {str(value) for value in bare.parameters.values()}
+        written = scene.read_text().replace(
+            'name="film" value="$film_mm"/>',
+            f'name="film" value="$film_mm"/>\n    <string name="without" value="{without}"/>',
+        )
+        first, second = (
+            simulate(each, photons=20_000, seed=3, n_gap=1.46)
+            for each in (bare, read_scene(scene).edited(written))
+        )
+        assert first.eta == second.eta
+    message = refusal(read, text, rows.replace("0,1.46", "0.5,1.46"))
+    assert "neither 0 nor 1" in message
 
 
 def test_a_switch_masks_what_only_weighs_or_reads(read):

@@ -83,7 +83,7 @@ def test_a_default_that_nothing_uses_is_a_warning(tmp_path):
     assert "never used" in refusal(read_scene, path, {"spare": 4})
 
 
-@pytest.mark.parametrize("path", sorted(SCENES.glob("*.xml")), ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", sorted(SCENES.rglob("*.xml")), ids=lambda p: p.stem)
 def test_shipped_scenes_are_sound(path):
     report = check_scene(path)
     assert report.ok, report.problems
