@@ -78,7 +78,7 @@ MINIMUM = cast(
     Minimum,
     SimpleNamespace(
         names=(),
-        statistic=SimpleNamespace(model=None),
+        statistic=SimpleNamespace(model=SimpleNamespace(readings=())),
         weights=SimpleNamespace(errors=SimpleNamespace(tolerances=NONE)),
         weighted_residuals=np.zeros(0),
         precision=NONE,

@@ -164,7 +164,7 @@ def _read_ties(document: TomlDocument, campaign: Campaign) -> dict[str, str]:
     can = [n for n in dict.fromkeys([*sizes, *numbers]) if n not in COEFFICIENTS]
     ties: dict[str, str] = {}
     for name in document.table(_PARAMETERS):
-        table = document.table(f"{_PARAMETERS}.{name}", schema.PARAMETER)
+        table = document.table(f"{_PARAMETERS}.{name}")
         if schema.SAME_AS not in table:
             continue
         leader = table[schema.SAME_AS]

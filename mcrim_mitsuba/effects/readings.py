@@ -21,6 +21,12 @@ def plausible_beside_background(signals: np.ndarray) -> tuple[float, float]:
     return -largest, largest
 
 
+def range_beside_background(signals: np.ndarray) -> tuple[float, float]:
+    """What is subtracted too much or too little is less than the weakest signal itself."""
+    weakest = float(signals.min())
+    return -weakest, weakest
+
+
 BACKGROUND = Effect(
     name="background",
     title="constant background",
@@ -42,6 +48,7 @@ BACKGROUND = Effect(
             plausible=(-math.inf, math.inf),
             nodes=(),
             plausible_beside=plausible_beside_background,
+            range_beside=range_beside_background,
         ),
     ),
     reading=reading_background,

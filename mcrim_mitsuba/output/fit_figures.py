@@ -115,7 +115,7 @@ def _series_of(fit: Calibration) -> _Series | None:
     It is where light is born, as nobody reads what differs in that as single configurations.
     """
     readings = fit.model.readings
-    if not all(SOURCE_Z in reading.parameters for reading in readings):
+    if not readings or not all(SOURCE_Z in reading.parameters for reading in readings):
         return None
     values = np.array([float(reading.parameters[SOURCE_Z]) for reading in readings])
     members: dict[str, list[int]] = {}

@@ -82,7 +82,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert KNOWN == BUILT_IN and list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 44
+    assert len(KNOWN) == 45
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
@@ -362,7 +362,8 @@ def test_what_drifts_and_what_another_crystal_reads():
     assert KNOWN["sample_scale"].reading(signals, 0.1, rows)[0] == pytest.approx([10.0, 11, 11])
     # the yield comes first; what drifts is what is read in the end
     last = sorted((e for e in KNOWN.values() if e.reading), key=lambda e: e.order)
-    names = ["sample_scale", "nonlinearity", "cell_saturation", "background", "gain_drift"]
+    names = ["sample_scale", "non_proportionality", "nonlinearity", "cell_saturation"]
+    names += ["background", "gain_drift"]
     assert [e.name for e in last] == names
 
 
