@@ -315,9 +315,12 @@ class Effect:
         for parameter in self.parameters:
             if parameter.range_beside is not None:
                 low, high = parameter.range_beside(signals)
-                within = np.clip([*parameter.plausible, parameter.start], low, high).tolist()
-                ranges = {"minimum": low, "maximum": high, "plausible": tuple(within[:2])}
-                parameter = replace(parameter, **ranges, start=within[2])
+                least, most, start = np.clip(
+                    [*parameter.plausible, parameter.start], low, high
+                ).tolist()
+                parameter = replace(
+                    parameter, minimum=low, maximum=high, plausible=(least, most), start=start
+                )
             parameters.append(parameter)
         return replace(self, parameters=tuple(parameters))
 

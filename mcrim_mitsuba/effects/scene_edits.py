@@ -187,7 +187,8 @@ def rough_copy(editor: SceneEditor, bsdf: Node, side: str, alpha: str) -> str:
     """Id of a copy of an interface, put beside it, with the facets of a side of the crystal."""
     name = f"{bsdf.attrib['id']}_{side}"
     editor.refuse_id(name)
-    parts = [editor.source(part) for part in bsdf.elements]
+    kept = (part for part in bsdf.elements if part.get("name") != "roughness_alpha")
+    parts = [editor.source(part) for part in kept]
     parts.append(f'<float name="roughness_alpha" value="{alpha}"/>')
     editor.insert_after(bsdf, element(f'bsdf type="polish" id="{name}"', parts))
     return name
@@ -310,14 +311,16 @@ def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
     under = window_under_gap(editor)
     sides = [face for name, faces in box.items() if name != "bottom" for face in faces]
     to_air = worn_towards_air(editor, sides, "the crystal's other faces")
-    worn = editor.bsdf(bottom)
-    if worn is not None and worn.get("id", "").endswith("_bottom"):
-        # what is rough under the liquid is rough under the bubble
-        smooth = editor.by_id[to_air.split('"')[1]]
-        alpha = worn.named("roughness_alpha")
-        assert alpha is not None  # `rough_copy` made it
-        copy = rough_copy(editor, smooth, "bottom", alpha.attrib["value"])
-        to_air = f'<ref id="{copy}"/>'
+    other = editor.by_id[to_air.split('"')[1]]
+    # what is rough under the liquid, or not, is so under the bubble, whatever the other faces are
+    own, others = (
+        "0"
+        if bsdf is None or (alpha := bsdf.named("roughness_alpha")) is None
+        else alpha.attrib["value"]
+        for bsdf in (editor.bsdf(bottom), other)
+    )
+    if own != others:
+        to_air = f'<ref id="{rough_copy(editor, other, "bottom", own)}"/>'
     beside = [s for s in editor.shapes if s.type == "frame" and editor.window in editor.media(s)]
     window_to_air = worn_towards_air(editor, beside, "the window's entrance face")
     for face, name, bsdf, interior in (

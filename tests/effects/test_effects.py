@@ -568,3 +568,16 @@ def test_effects_on_a_crystal_that_is_no_box(scenes, form):
         for name in ("top_roughness", "ground_top"):
             reasons[name] = "the crystal has no top face of its own"
     assert refused == reasons
+
+
+@pytest.mark.parametrize("bottom", [False, True])
+def test_the_face_above_a_bubble_is_as_the_bottom_where_all_others_are_ground(bottom):
+    """Their facets were written beside its own, which Mitsuba does not read, or in place of none."""
+    grounds = ["ground_side", "ground_top", *(["ground_bottom"] if bottom else [])]
+    scene = added(PLAIN, *grounds, "gap_bubble")
+    worn = scene.parts.by_id["crystal_bottom_bubble"].find("ref[@id]").attrib["id"]
+    alphas = [part.attrib["value"] for part in scene.parts.by_id[worn].iter("float")]
+    names = [part.attrib["name"] for part in scene.parts.by_id[worn].iter("float")]
+    assert len(names) == len(set(names))
+    alpha = dict(zip(names, alphas, strict=True))["roughness_alpha"]
+    assert float(alpha) == (scene.parameters["ground_bottom_alpha"] if bottom else 0.0)
