@@ -74,12 +74,10 @@ def in_place(text: str, **values: object) -> str:
     return text
 
 
-def with_black_foot(text: str) -> str:
-    """The text of a scene in which no light enters the window beside the crystal."""
-    black = '<bsdf type="aperture"><float name="radius" value="0.01"/>'
-    black = f'{black}<ref id="window_to_air"/></bsdf>'
-    face = r'(id="window_beside_gap">(?:(?!</shape>).)*?)<ref id="window_to_air"/>'
-    return replaced(text, face, rf"\g<1>{black}")
+def with_open_foot(text: str) -> str:
+    """The text of a scene in which light enters the window beside the crystal, too."""
+    face = r'(id="window_beside_gap">(?:(?!</shape>).)*?)<bsdf type="twosided">.*?</bsdf>\s*</bsdf>'
+    return replaced(text, face, r'\g<1><ref id="window_to_air"/>')
 
 
 def ground(scene: SceneFile, faces: Iterable[str], alpha: float) -> SceneFile:
@@ -104,7 +102,7 @@ def simulated(text: str, faces: Iterable[str], sigma_alpha: float, photons: int)
 def fractions(photons: int) -> None:
     """Theirs, ours and the difference, of three sets of rows."""
     plain = in_place((GAGG / "gagg.xml").read_text(), alpha_scat_per_cm=0)
-    contact = with_black_foot(in_place(plain, n_gap=1.52, gap_mm=0.02))
+    contact = in_place(plain, n_gap=1.52)
     # a foil that touches is on the polished face itself; a ground one it touches at its peaks
     touching = {True: in_place(contact, film_mm=0.01), False: in_place(contact, film_mm=0)}
     centre = {
@@ -116,7 +114,7 @@ def fractions(photons: int) -> None:
         )
         for at_top, text in touching.items()
     }
-    gaps = in_place(plain, film_mm=1.15, gap_mm=1.15, n_gap=1.0)
+    gaps = with_open_foot(in_place(plain, film_mm=1.15, gap_mm=1.15, n_gap=1.0))
     # 11.5 mm wide at the distance of the film
     gaps = replaced(gaps, r'(id="foil">\s*<float name="width" value=")[^"]*"', r'\g<1>9.2"')
     print("| geometry | finish | detected: theirs, ours | crystal | foil | black | ratio |")
@@ -138,7 +136,7 @@ def fractions(photons: int) -> None:
 
 
 def campaign_in(
-    folder: Path, source: Path, scene: Mapping[str, object], *, black: bool = False, **changes: str
+    folder: Path, source: Path, scene: Mapping[str, object], *, seen: bool = False, **changes: str
 ) -> Path:
     """A campaign's files in a folder, with other numbers in its scene and other texts.
 
@@ -149,7 +147,7 @@ def campaign_in(
         text = path.read_text()
         if path.suffix == ".xml":
             text = in_place(text, **scene)
-            text = with_black_foot(text) if black else text
+            text = with_open_foot(text) if seen else text
         (folder / path.name).write_text(text)
     for file, text in changes.items():
         (folder / f"{name}.{file}").write_text(text)
@@ -169,13 +167,13 @@ def with_errors(text: str, share: float) -> str:
 
 #: Below and above the crystal, and whether the window is seen beside it.
 GEOMETRIES = {
-    "film of air below, foil at 0.1 mm": ({}, False),
-    "the same, nothing enters beside": ({}, True),
+    "as shipped: film of air below, foil at 0.1 mm": ({}, False),
     "optical contact below": ({"n_gap": 1.52}, False),
-    "optical contact, nothing enters beside": ({"n_gap": 1.52}, True),
     "1.15 mm of air below": ({"gap_mm": 1.15}, False),
     "foil touching (0.01 mm)": ({"film_mm": 0.01}, False),
     "foil at 1.15 mm": ({"film_mm": 1.15}, False),
+    "window seen beside the crystal": ({}, True),
+    "the same, optical contact": ({"n_gap": 1.52}, True),
 }
 ERRORS = 0.03, 0.10
 
@@ -187,10 +185,10 @@ def finishes(photons: int | None) -> None:
     readings = (GAGG / "gagg.csv").read_text()
     cases = [(name, *geometry, 0.05) for name, geometry in GEOMETRIES.items()]
     cases += [(f"as the first, errors of {100 * e:g} %", {}, False, e) for e in ERRORS]
-    for name, values, black, error in cases:
+    for name, values, seen, error in cases:
         with tempfile.TemporaryDirectory() as folder:
             path = campaign_in(
-                Path(folder), GAGG, values, black=black, csv=with_errors(readings, error)
+                Path(folder), GAGG, values, seen=seen, csv=with_errors(readings, error)
             )
             print(f"| {name} | {' | '.join(told(path, photons))} |", flush=True)
 

@@ -262,11 +262,16 @@ class Judgement:
             reason += f"more photons would tell whether {self._titles(unsettled)} may as well"
             return Verdict(AMBIGUOUS, reason, leading + unsettled, unsettled=unsettled)
         if len(leading) == 1:
-            reason = f"{self._titles(leading)} explains the misfit: {quality}"
+            described = explains(best, ACCEPTABLE_P)
+            how = "explains the misfit" if described else "explains most of the misfit, not all"
+            reason = f"{self._titles(leading)} {how}: {quality}"
             families = {self.explanations.effects[name].family for name in leading[0]}
-            if families <= set(named):
+            left = best.chi2 - best.ndf
+            of_all = left < JUDGING.left * (self.baseline.chi2 - self.baseline.ndf)
+            if families <= set(named) and (described or of_all):
                 return Verdict(MISSING_EFFECT, reason, leading)
-            reason += "; but so may something that is in no catalogue"
+            besides = "so may" if described else "there may be"
+            reason += f"; but {besides} something that is in no catalogue"
             return Verdict(AMBIGUOUS, reason, leading)
         reason = f"the readings cannot tell apart {self._titles(leading)}: {quality} with the first"
         if named:

@@ -418,6 +418,9 @@ class VerdictSettings:
     named: float = 0.9
     #: What the leading hypotheses hold together.
     credible: float = 0.95
+    #: Part of the misfit that an effect which is named may leave where its fit still fails: another
+    #: is missing besides it, and not in place of it.
+    left: float = 0.05
     #: Explanations that a sentence names.
     most_named: int = 4
     #: Probability from which an effect counts as one that the diagnosis rests on.

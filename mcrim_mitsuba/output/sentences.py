@@ -372,7 +372,9 @@ def short_headline(diagnosis: Diagnosis) -> str:
         return verdict_words(diagnosis.verdict)
     effects = leading[0].effects
     verb = "explain" if len(effects) > 1 else "explains"
-    return f"{capital(in_words(diagnosis, effects))} {verb} the misfit"
+    p = leading[0].p_value
+    how_much = "the misfit" if p is None or p >= ACCEPTABLE_P else "most of the misfit"
+    return f"{capital(in_words(diagnosis, effects))} {verb} {how_much}"
 
 
 def headline(diagnosis: Diagnosis) -> str:

@@ -572,7 +572,7 @@ def test_effects_on_a_crystal_that_is_no_box(scenes, form):
 
 @pytest.mark.parametrize("bottom", [False, True])
 def test_the_face_above_a_bubble_is_as_the_bottom_where_all_others_are_ground(bottom):
-    """Their facets were written beside its own, which Mitsuba does not read, or in place of none."""
+    """Others' facets were written beside its own, which Mitsuba refuses, or in place of none."""
     grounds = ["ground_side", "ground_top", *(["ground_bottom"] if bottom else [])]
     scene = added(PLAIN, *grounds, "gap_bubble")
     worn = scene.parts.by_id["crystal_bottom_bubble"].find("ref[@id]").attrib["id"]

@@ -449,3 +449,25 @@ def test_hypotheses_that_differ_by_rounding_only_keep_their_order():
         weighing = SimpleNamespace(hypotheses=bad, shares=np.array(shares))
         judge = Judgement(None, None, weighing)
         assert list(judge.probabilities)[:2] == ["bad reading air", "bad reading gel"]
+
+
+@pytest.mark.parametrize(
+    ("chi2", "p", "word", "says"),
+    [(4.0, 0.4, "missing_effect", "explains the misfit: "), (23.0, 1e-5, "ambiguous", "not all")],
+)
+def test_what_leaves_a_fifth_of_a_misfit_is_not_named(chi2, p, word, says):
+    """A photocathode at its bound was said to explain readings that it left at 23 of 2."""
+    fit = SimpleNamespace(chi2=chi2, ndf=2, p_value=p)
+    explanations = SimpleNamespace(
+        fit=lambda key: fit,
+        title=" with ".join,
+        effects={"film": SimpleNamespace(family="detector")},
+        baseline=SimpleNamespace(chi2=116.0, ndf=3),
+    )
+    only = Hypothesis(
+        effects=("film",), log_weight=0.0, log_scale=0.0, log_scale_sigma=0.1, evidence=object()
+    )
+    families = {"detector": 0.997}
+    weighing = SimpleNamespace(hypotheses=(only,), shares=np.ones(1), families=families)
+    verdict = Judgement(explanations, None, weighing)._of_leading(())
+    assert verdict.word == word and says in verdict.reason, verdict.reason
