@@ -1,10 +1,10 @@
 """Tables of docs/measured_elsewhere.md: what others measured, and what the package says of it.
 
-    python scripts/measured_elsewhere.py fractions | finishes | pixel | lengths [--photons N]
+    python scripts/measured_elsewhere.py fractions | finishes | pixel | draw [--photons N]
 
 prints tables of Markdown. `fractions`: where light ends in a published Geant4 study, beside ours in
 the same geometry. `finishes`: the GAGG bar in several geometries and with several errors. `pixel`:
-the LSO pixel, effect by effect, with and without its second line. `lengths`: five lengths of it.
+the LSO pixel, step by step, with and without its second line. `draw` draws the page's picture.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import tomlkit
+from matplotlib.figure import Figure
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.output.figure_style import DARK, WARM
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 SCENES = Path(__file__).parents[1] / "scenes"
@@ -54,8 +56,6 @@ GAPS = {
     "top and bottom ground": (0.1913, 0.1167, 0.0039, 0.5717),
     "sides ground": (0.0870, 0.0381, 0.0027, 0.8078),
 }
-#: Fates of ours in the order of theirs.
-FATES = ("detected", "absorbed_crystal", "absorbed_reflector", "escaped")
 #: No rough face of ours is steeper.
 STEEPEST = 1.0
 
@@ -117,22 +117,29 @@ def fractions(photons: int) -> None:
     gaps = with_open_foot(in_place(plain, film_mm=1.15, gap_mm=1.15, n_gap=1.0))
     # 11.5 mm wide at the distance of the film
     gaps = replaced(gaps, r'(id="foil">\s*<float name="width" value=")[^"]*"', r'\g<1>9.2"')
-    print("| geometry | finish | detected: theirs, ours | crystal | foil | black | ratio |")
-    print("|---|---|---|---|---|---|---|")
+    print("| geometry | finish | detected: theirs, ours | crystal | foil and black | ratio |")
+    print("|---|---|---|---|---|---|")
     for name, rows, sigma in (("contact", CONTACT, 0.2), ("gaps of 1.15 mm", GAPS, 0.7)):
         first: tuple[float, float] | None = None
         for finish, theirs in rows.items():
             faces = FINISHES.get(finish, ("top", "bottom"))
             text = gaps if rows is GAPS else touching["top" in faces]
             ours = simulated(text, faces, sigma, photons)
-            cells = [f"{t:.4f}, {ours.get(f, 0.0):.4f}" for t, f in zip(theirs, FATES, strict=True)]
+            # what is black beside the foot is a reflector of ours, as the foil is
+            elsewhere = ours["escaped"] + ours["absorbed_reflector"]
+            pairs = zip(
+                (*theirs[:2], sum(theirs[2:])),
+                (ours["detected"], ours["absorbed_crystal"], elsewhere),
+                strict=True,
+            )
+            cells = [f"{first:.4f}, {second:.4f}" for first, second in pairs]
             first = first or (theirs[0], ours["detected"])
             ratio = f"{theirs[0] / first[0]:.3f}, {ours['detected'] / first[1]:.3f}"
             print(f"| {name} | {finish} | {' | '.join(cells)} | {ratio} |", flush=True)
     for (finish, faces), theirs_detected in zip(FINISHES.items(), CENTRE, strict=True):
         ours = simulated(centre["top" in faces], faces, 0.2, photons)
         line = f"| contact, from the centre | {finish} | {theirs_detected:.4f}, "
-        print(f"{line}{ours['detected']:.4f} | | | | |", flush=True)
+        print(f"{line}{ours['detected']:.4f} | | | |", flush=True)
 
 
 def campaign_in(
@@ -190,7 +197,8 @@ def finishes(photons: int | None) -> None:
             path = campaign_in(
                 Path(folder), GAGG, values, seen=seen, csv=with_errors(readings, error)
             )
-            print(f"| {name} | {' | '.join(told(path, photons))} |", flush=True)
+            cells = predicted_cell(path, photons), *diagnosed(path, photons)
+            print(f"| {name} | {' | '.join(cells)} |", flush=True)
 
 
 def prediction(path: Path, photons: int | None) -> mcrim.CompareResult:
@@ -212,11 +220,16 @@ def sizes_of(candidate) -> str:
     return f"{candidate.effect} ({sizes})" if sizes else candidate.effect
 
 
-def told(path: Path, photons: int | None) -> list[str]:
-    """Cells of a diagnosis: prediction, fit, what leads, what results."""
+def predicted_cell(path: Path, photons: int | None) -> str:
+    """Ratios to the first reading, and chi2."""
     before = prediction(path, photons)
     first = before.rows[0].model
     ratios = ", ".join(f"{row.model / first:.2f}" for row in before.rows)
+    return f"{ratios}: {before.chi2:.0f} of {before.ndf}"
+
+
+def diagnosed(path: Path, photons: int | None) -> list[str]:
+    """Cells of a diagnosis: fit, what is likely, what leads, what results."""
     diagnosis = mcrim.diagnose(path, photons=photons)
     fit = diagnosis.baseline
     likely = sorted(diagnosis.probabilities.items(), key=lambda item: -item[1])
@@ -226,7 +239,6 @@ def told(path: Path, photons: int | None) -> list[str]:
     leading = leading or list(diagnosis.candidates[:2])
     alone = [f"{sizes_of(each)}: {each.chi2:.1f} of {each.ndf}" for each in leading]
     return [
-        f"{ratios}: {before.chi2:.0f} of {before.ndf}",
         f"{fit.chi2:.1f} of {fit.ndf}",
         "; ".join(likely),
         "; ".join(alone),
@@ -234,14 +246,96 @@ def told(path: Path, photons: int | None) -> list[str]:
     ]
 
 
+def pixel(photons: int | None) -> None:
+    """What explains the pixel's readings, step by step; and what its first line alone says."""
+    table = (PIXEL / "lso_pixel.csv").read_text()
+    first_line = "".join(x for x in table.splitlines(True) if not x.endswith(",1275\n"))
+    named = 'scene = "lso_pixel.xml"'
+    print("| readings | effects | chi2 | probabilities | alone, chi2 | verdict |")
+    print("|---|---|---|---|---|---|")
+    for title, csv, effects in (
+        ("both lines", table, ()),
+        ("both lines", table, ("nonlinearity",)),
+        ("511 keV alone", first_line, ()),
+    ):
+        with tempfile.TemporaryDirectory() as folder:
+            path = campaign_in(Path(folder), PIXEL, {}, csv=csv)
+            switched_on = f"{named}\neffects = {list(effects)!r}".replace("'", '"')
+            path.write_text(path.read_text().replace(named, switched_on))
+            cells = diagnosed(path, photons)
+            print(f"| {title} | {', '.join(effects) or 'none'} | {' | '.join(cells)} |", flush=True)
+
+
+def draw(photons: int | None) -> None:
+    """The picture: measured, first prediction, mended."""
+    figure = Figure(figsize=(12.5, 5.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
+    fit = mcrim.compare(GAGG / "gagg.toml", photons=photons)
+    before = prediction(GAGG / "gagg.toml", photons)
+    places = range(len(fit.rows))
+    measured, errors = ([getattr(row, n) for row in fit.rows] for n in ("measured", "sigma"))
+    left.errorbar(places, measured, errors, fmt="o", color="black", capsize=3, label="measured")
+    theirs = [detected / CONTACT["all polished"][0] for detected, *_ in CONTACT.values()]
+    left.plot(places, theirs, "v", color="0.6", label="published Geant4 (optical contact)")
+    unfitted = [row.model / before.rows[0].model for row in before.rows]
+    left.plot(places, unfitted, "s", mfc="none", color=WARM, label="dry, facets of 0.3, no fit")
+    models = [row.model for row in fit.rows]
+    label = f"dry, facets and coefficients fitted: chi2 {fit.chi2:.1f} of {fit.ndf}"
+    left.hlines(
+        models, [x - 0.3 for x in places], [x + 0.3 for x in places], color=DARK, label=label
+    )
+    left.set_xticks(places, [row.label.replace(" ground", "\nground") for row in fit.rows])
+    left.tick_params(axis="x", labelsize=8)
+    left.set(ylabel="light relative to all polished", title="GAGG bar, six finishes", ylim=(0, 2.1))
+    left.legend(fontsize=9)
+    with tempfile.TemporaryDirectory() as folder:
+        path = campaign_in(Path(folder), PIXEL, {})
+        plain = mcrim.compare(path, photons=photons)
+        bent = path.read_text().replace(
+            "[parameters", 'effects = ["nonlinearity"]\n\n[parameters', 1
+        )
+        path.write_text(bent)
+        mended = mcrim.compare(path, photons=photons)
+    readings = mcrim.read_campaign(PIXEL / "lso_pixel.toml").measurements.readings
+    for number, treatment in enumerate(("wrapped", "sides", "bare")):
+        for energy, marker in ((511, "o"), (1275, "^")):
+            rows = [
+                (reading.parameters["source_z_mm"], row, first)
+                for reading, row, first in zip(readings, mended.rows, plain.rows, strict=True)
+                if reading.label.startswith(treatment) and reading.energy_keV == energy
+            ]
+            depths = [z for z, *_ in rows]
+            colour = f"C{number}"
+            used = [(z, row) for z, row, _ in rows if row.use]
+            right.errorbar(
+                [z for z, _ in used],
+                [row.measured for _, row in used],
+                [row.sigma for _, row in used],
+                fmt=marker,
+                ms=4.5,
+                color=colour,
+                label=f"{treatment}, {energy} keV",
+            )
+            right.plot(depths, [row.model for _, row, _ in rows], color=colour)
+            right.plot(depths, [first.model for *_, first in rows], color=colour, ls=":", lw=1)
+    right.set(xlabel="depth (mm)", ylabel="pulse height (V)", ylim=(0, 1.35))
+    right.set_title(
+        f"LSO pixel: plain (dotted, chi2 {plain.chi2:.0f}), bent readout ({mended.chi2:.0f} of "
+        f"{mended.ndf})"
+    )
+    right.legend(ncols=3, fontsize=8, loc="upper center")
+    figure.savefig(SCENES.parent / "docs" / "measured_elsewhere.png", dpi=130)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("fractions", "finishes", "pixel", "lengths"))
+    parser.add_argument("what", choices=("fractions", "finishes", "pixel", "draw"))
     parser.add_argument("--photons", type=int)
     options = parser.parse_args()
-    {"fractions": lambda n: fractions(n or 1_000_000), "finishes": finishes}[options.what](
-        options.photons
-    )
+    if options.what == "fractions":
+        fractions(options.photons or 1_000_000)
+    else:
+        {"finishes": finishes, "pixel": pixel, "draw": draw}[options.what](options.photons)
 
 
 if __name__ == "__main__":
