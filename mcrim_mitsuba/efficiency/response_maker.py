@@ -58,9 +58,10 @@ from mcrim_mitsuba.transport.launch_plan import LANES
 #: Most photons of a simulation with an effect in the scene, where nothing else is said, and how
 #: many times as many of a configuration as it is: all effects are compared with it.
 EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 4
-#: Error of a simulation, over that of its reading, from which on it needs no more photons; what
-#: that must leave of a campaign's photons to be worth it: benches then share fewer of them.
-_PRECISE, _WORTH = 0.4, 0.5
+#: Error of a simulation, over that of its reading, from which on it needs no more photons (those
+#: of the article's benches are 0.2 to 1.2); what that may leave of a campaign's photons for it to
+#: be worth while: campaigns of one bench then share fewer of them.
+_PRECISE, _WORTH = 0.7, 0.25
 #: Part of an effect's photons that a first look takes.
 LOOK_PART = 1 / 8
 #: The same for all effects at once where a fit ends.
@@ -142,12 +143,12 @@ class ResponseMaker:
     """Makes the responses of a campaign's readings, effect by effect.
 
     The photons of `run` are those of a simulation with an effect in the scene; those as the bench
-    is get `PLAIN_FACTOR` times as many. Without a number a reading gets what its error asks for, as
-    a first look at the bench tells: the fewest, by powers of two, with which eta's error is below
-    `_PRECISE` of it, up to `EFFECT_PHOTONS`; all of these where few can be spared. They are times
-    `part`. The run's precision does not
-    matter. `what` is its name in progress. The range of alpha_scat goes on beyond the usual lower
-    or higher end where a fit does. Readings that nobody made count with `sigma`, relative.
+    is get `PLAIN_FACTOR` times as many. Its precision does not matter. Without a number they are
+    `part` of `EFFECT_PHOTONS`; with `sigma`, the relative error of readings that nobody made, those
+    of light get what their errors ask for, as a first look at the bench tells: the fewest, by
+    powers of two, with which eta's error is below `_PRECISE` of the reading's. `what` is its name
+    in progress. The range of alpha_scat goes on beyond the usual lower or higher end where a fit
+    does.
     """
 
     def __init__(
@@ -235,7 +236,8 @@ class ResponseMaker:
         if tolerances:
             plans += [self._plan_of_tolerance(each, plain) for each in self.campaign.tolerances]
         of_benches = [table for bench in benches for table in bench.tables]
-        tables = self.schedule.tables([*of_benches, *(t for plan in plans for t in plan.tables)])
+        wanted = [*of_benches, *(table for plan in plans for table in plan.tables)]
+        tables = self.schedule.tables(wanted, by_all=not tolerances)
         self.schedule.rest_on(_PLAIN, of_benches)
         for plan in plans:
             self.schedule.rest_on(plan.name, plan.tables)
@@ -265,7 +267,7 @@ class ResponseMaker:
                 values,
                 min(PLAIN_FACTOR * own, _MOST_PHOTONS),
                 of_beam=reading.of_beam,
-                check=self._check and not self._looks,
+                check=self._check and not self.looks,
             )
             closed_form = self._closed_form(reading.label, run) if reading.of_beam else None
             if closed_form is None:
@@ -277,10 +279,10 @@ class ResponseMaker:
         return benches
 
     @functools.cached_property
-    def _looks(self) -> list[PlannedRun]:
+    def looks(self) -> list[PlannedRun]:
         """First looks at the bench as it is, by reading; none where all get as many photons."""
-        made = all(self._sigma or not math.isnan(r.sigma) for r in self._readings)
-        if self._given or not made or any(reading.of_beam for reading in self._readings):
+        of_beam = any(reading.of_beam for reading in self._readings)
+        if self._given or self._sigma is None or of_beam:
             return []
         scene, photons, check = self.campaign.scene, self._look_photons, self._check
         return [
@@ -291,21 +293,24 @@ class ResponseMaker:
     @functools.cached_property
     def _photons(self) -> list[int]:
         """Of every reading's simulations with an effect."""
-        if not self._looks:
+        if not self.looks:
             return [self._effect_photons] * len(self._readings)
-        tables = self.schedule.tables([run.table() for run in self._looks])
+        tables = self.schedule.tables([run.table() for run in self.looks], by_all=True)
+        most = EFFECT_PHOTONS // LANES
         asked: dict[Identity, int] = {}
-        for run, reading in zip(self._looks, self._readings, strict=True):
+        for run, reading in zip(self.looks, self._readings, strict=True):
+            assert self._sigma is not None
             sigma = self._sigma if math.isnan(reading.sigma) else reading.sigma / reading.signal
             error = tables[run.table().number].usual_error / (_PRECISE * sigma)
+            units = error**2 * run.photons / LANES
             # in the dark nothing is known
-            steps = math.ceil(math.log2(error**2 * run.photons / LANES)) if error > 0.0 else 64
-            photons = min(_units(self._part * LANES * 2**steps) * LANES, self._effect_photons)
+            units = min(2 ** max(math.ceil(math.log2(units)), 0), most) if units > 0.0 else most
             # readings that masks are cut out for share their photons
-            asked[run.identity] = max(photons, asked.get(run.identity, 0))
-        photons = [asked[run.identity] for run in self._looks]
-        most = self._effect_photons
-        return photons if sum(photons) <= _WORTH * len(photons) * most else [most] * len(photons)
+            asked[run.identity] = max(units, asked.get(run.identity, 0))
+        of_readings = [asked[run.identity] for run in self.looks]
+        if sum(of_readings) > _WORTH * most * len(of_readings):
+            return [self._effect_photons] * len(of_readings)
+        return [_units(self._part * units * LANES) * LANES for units in of_readings]
 
     def _plans(
         self, effects: Sequence[Effect], look: Collection[str], plain: Sequence[PlannedRun]
@@ -375,8 +380,9 @@ class ResponseMaker:
         nodes: list[_Node] = []
         for number in seeing:
             run, photons = plain[number], self._photons[number]
-            if is_look:
-                photons = min(photons, self._look_photons)
+            # of few photons a part would tell nothing: the nodes of a first look are the last ones'
+            if is_look and photons == self._effect_photons:
+                photons = self._look_photons
             source, reference = self._sources(effect, run, photons)
             at_own_acceptance = self._at_own_acceptance(run)
             for place, values in _nodes(axes):

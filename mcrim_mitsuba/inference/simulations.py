@@ -196,7 +196,7 @@ class CampaignSimulations:
         wanted = [catalogue[name] for name in (*self.campaign.effects, *effects)]
         precise = frozenset[str]() if self._models is None else self._models.precise
         precise |= {e.name for e in wanted if e.name not in look or e.reading is not None}
-        if self._models is None and not all(self._beyond) and self.campaign.tolerances:
+        if self._models is None and self.maker.looks and self.campaign.tolerances:
             self._look_beyond(wanted)
         self._models = CampaignModels(
             campaign=self.campaign,
@@ -342,7 +342,8 @@ class CampaignSimulations:
 
     def _maker_of(self, campaign: Campaign, what: str, part: float = 1.0) -> ResponseMaker:
         """What makes responses of a campaign, its progress shown under a name."""
-        sigma = self._usual_sigma(of_beam=False) if self.campaign.measurements.in_use else None
+        # what cannot be diagnosed takes little time as it is
+        sigma = self._usual_sigma(of_beam=False) if self.campaign.ndf > 0 else None
         maker = ResponseMaker(campaign, self.run, what, part=part, sigma=sigma, beyond=self._beyond)
         self._schedules.append(maker.schedule)
         return maker
