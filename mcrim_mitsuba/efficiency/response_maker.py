@@ -58,10 +58,9 @@ from mcrim_mitsuba.transport.launch_plan import LANES
 #: Most photons of a simulation with an effect in the scene, where nothing else is said, and how
 #: many times as many of a configuration as it is: all effects are compared with it.
 EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 4
-#: Error of a simulation, over that of its reading, from which on it needs no more photons (those
-#: of the article's benches are 0.2 to 1.2); what that may leave of a campaign's photons for it to
-#: be worth while: campaigns of one bench then share fewer of them.
-_PRECISE, _WORTH = 0.7, 0.25
+#: Error of a simulation in a wrapping, over that of its reading, from which on it needs no more
+#: photons (those of the article's benches are 0.2 to 1.2). Elsewhere few take as long as many.
+_PRECISE = 0.7
 #: Part of an effect's photons that a first look takes.
 LOOK_PART = 1 / 8
 #: The same for all effects at once where a fit ends.
@@ -145,10 +144,10 @@ class ResponseMaker:
     The photons of `run` are those of a simulation with an effect in the scene; those as the bench
     is get `PLAIN_FACTOR` times as many. Its precision does not matter. Without a number they are
     `part` of `EFFECT_PHOTONS`; with `sigma`, the relative error of readings that nobody made, those
-    of light get what their errors ask for, as a first look at the bench tells: the fewest, by
-    powers of two, with which eta's error is below `_PRECISE` of the reading's. `what` is its name
-    in progress. The range of alpha_scat goes on beyond the usual lower or higher end where a fit
-    does.
+    of light in a wrapping get what their errors ask for, as a first look at the bench tells: the
+    fewest, by powers of two, with which eta's error is below `_PRECISE` of the reading's. `what` is
+    its name in progress. The range of alpha_scat goes on beyond the usual lower or higher end where
+    a fit does.
     """
 
     def __init__(
@@ -281,10 +280,11 @@ class ResponseMaker:
     @functools.cached_property
     def looks(self) -> list[PlannedRun]:
         """First looks at the bench as it is, by reading; none where all get as many photons."""
-        of_beam = any(reading.of_beam for reading in self._readings)
-        if self._given or self._sigma is None or of_beam:
+        scene, of_beam = self.campaign.scene, any(reading.of_beam for reading in self._readings)
+        wrapped = any(shape.get("type") == "wrapping" for shape in scene.root.iter("shape"))
+        if self._given or self._sigma is None or of_beam or not wrapped:
             return []
-        scene, photons, check = self.campaign.scene, self._look_photons, self._check
+        photons, check = self._look_photons, self._check
         return [
             self._simulation(scene, values, photons, of_beam=False, check=check)
             for values in configurations(self.campaign)
@@ -307,10 +307,7 @@ class ResponseMaker:
             units = min(2 ** max(math.ceil(math.log2(units)), 0), most) if units > 0.0 else most
             # readings that masks are cut out for share their photons
             asked[run.identity] = max(units, asked.get(run.identity, 0))
-        of_readings = [asked[run.identity] for run in self.looks]
-        if sum(of_readings) > _WORTH * most * len(of_readings):
-            return [self._effect_photons] * len(of_readings)
-        return [_units(self._part * units * LANES) * LANES for units in of_readings]
+        return [_units(self._part * asked[run.identity] * LANES) * LANES for run in self.looks]
 
     def _plans(
         self, effects: Sequence[Effect], look: Collection[str], plain: Sequence[PlannedRun]
