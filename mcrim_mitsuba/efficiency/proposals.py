@@ -133,8 +133,10 @@ def coverage_of(campaign: Campaign, beyond: Beyond = WITHIN) -> Coverage:
     drawn = tuple(factor * alpha for alpha in proposals.alpha_scat_per_cm)
     proposals = ScatteringProposals(drawn, proposals.units, absorption[0])
     if any(beyond):
+        # as far as the campaign lets it: each further proposal takes photons from all others
+        allowed = max(parameter.maximum for parameter in _of_samples_too(campaign, ALPHA_SCAT))
         least = min(least, _WIDE_RANGE_PER_CM[0]) if beyond.low else least
-        most = max(most, _WIDE_RANGE_PER_CM[1]) if beyond.high else most
+        most = max(most, min(allowed, _WIDE_RANGE_PER_CM[1])) if beyond.high else most
         proposals = choose_proposals(least, most, absorption[0])
     ranges = (least, most), absorption
     return Coverage(Grid(*ranges), Grid(*ranges, coarse=True), proposals)

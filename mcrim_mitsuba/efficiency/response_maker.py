@@ -43,7 +43,7 @@ from mcrim_mitsuba.efficiency.proposals import (
     coverage_of,
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
-from mcrim_mitsuba.efficiency.schedule import PlannedRun, Schedule, WantedTable
+from mcrim_mitsuba.efficiency.schedule import Identity, PlannedRun, Schedule, WantedTable
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
 from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance, transmittance
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -56,9 +56,12 @@ from mcrim_mitsuba.scene.spectrophotometer import (
 )
 from mcrim_mitsuba.transport.launch_plan import LANES
 
-#: Photons of a simulation with an effect in the scene, and how many times as many of a
-#: configuration as it is: all effects are compared with it.
+#: Most photons of a simulation with an effect in the scene, where nothing else is said, and how
+#: many times as many of a configuration as it is: all effects are compared with it.
 EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 4
+#: Error of a simulation in a wrapping, over that of its reading, from which on it needs no more
+#: photons (those of the article's benches are 0.2 to 1.2). Elsewhere few take as long as many.
+_PRECISE = 0.7
 #: Part of an effect's photons that a first look takes.
 LOOK_PART = 1 / 8
 #: The same for all effects at once where a fit ends.
@@ -140,18 +143,30 @@ class ResponseMaker:
     """Makes the responses of a campaign's readings, effect by effect.
 
     The photons of `run` are those of a simulation with an effect in the scene; those as the bench
-    is get `PLAIN_FACTOR` times as many. Its precision does not matter. `what` is its name in
-    progress. The range of alpha_scat goes on beyond the usual lower or higher end where a fit does.
+    is get `PLAIN_FACTOR` times as many. Its precision does not matter. Without a number they are
+    `part` of `EFFECT_PHOTONS`; with `sigma`, the relative error of readings that nobody made, those
+    of light in a wrapping get what their errors ask for, as a first look at the bench tells: the
+    fewest, by powers of two, with which eta's error is below `_PRECISE` of the reading's. `what` is
+    its name in progress. The range of alpha_scat goes on beyond the usual lower or higher end where
+    a fit does.
     """
 
     def __init__(
-        self, campaign: Campaign, run: Run, what: str = "simulation", *, beyond: Beyond = WITHIN
+        self,
+        campaign: Campaign,
+        run: Run,
+        what: str = "simulation",
+        *,
+        part: float = 1.0,
+        sigma: float | None = None,
+        beyond: Beyond = WITHIN,
     ) -> None:
-        self.campaign = campaign
-        units = min(max(round(run.photons_or(EFFECT_PHOTONS) / LANES), 1), _MOST_PHOTONS // LANES)
+        self.campaign, self._sigma = campaign, sigma
+        self._readings = campaign.measurements.readings
+        self._given, self._part = run.photons is not None, part
+        units = _units(part * run.photons_or(EFFECT_PHOTONS))
         self._effect_photons = units * LANES
         self._look_photons = max(round(LOOK_PART * units), 1) * LANES
-        self._plain_photons = min(PLAIN_FACTOR * units * LANES, _MOST_PHOTONS)
         self._check = run.check
         self._open_mask = has_open_mask(campaign.scene)
         coverage, light = coverage_of(campaign, beyond), campaign.spectrum
@@ -205,19 +220,24 @@ class ResponseMaker:
 
     # ---- responses -----------------------------------------------------------------------------
 
-    def make(self, effects: Sequence[Effect], look: Collection[str] = ()) -> Responses:
+    def make(
+        self, effects: Sequence[Effect], look: Collection[str] = (), *, tolerances: bool = True
+    ) -> Responses:
         """Simulated responses of the campaign's bench, as it is and with each of the effects.
 
         Effects that change no light, but how readings are read, need no simulation and are left
-        out. Those named by `look` get a part of the photons, for a first look. Raises InputError if
-        a scene is not sound, leaks, or cannot take an effect.
+        out. Those named by `look` get a part of the photons, for a first look. Of the bench's
+        numbers `tolerances` are left out where nobody asks for them. Raises InputError if a scene
+        is not sound, leaks, or cannot take an effect.
         """
         benches = self._benches()
         plain = [bench.run for bench in benches]
         plans = list(self._plans(effects, look, plain))
-        plans += [self._plan_of_tolerance(each, plain) for each in self.campaign.tolerances]
+        if tolerances:
+            plans += [self._plan_of_tolerance(each, plain) for each in self.campaign.tolerances]
         of_benches = [table for bench in benches for table in bench.tables]
-        tables = self.schedule.tables([*of_benches, *(t for plan in plans for t in plan.tables)])
+        wanted = [*of_benches, *(table for plan in plans for table in plan.tables)]
+        tables = self.schedule.tables(wanted, by_all=not tolerances)
         self.schedule.rest_on(_PLAIN, of_benches)
         for plan in plans:
             self.schedule.rest_on(plan.name, plan.tables)
@@ -239,23 +259,56 @@ class ResponseMaker:
     def _benches(self) -> list[_Bench]:
         """Of every reading, with the photons that the bench as it is gets."""
         benches = []
-        readings = self.campaign.measurements.readings
-        for reading, values in zip(readings, configurations(self.campaign), strict=True):
+        for reading, values, own in zip(
+            self._readings, configurations(self.campaign), self._photons, strict=True
+        ):
             run = self._simulation(
                 self.campaign.scene,
                 values,
-                self._plain_photons,
+                min(PLAIN_FACTOR * own, _MOST_PHOTONS),
                 of_beam=reading.of_beam,
-                check=self._check,
+                check=self._check and not self.looks,
             )
             closed_form = self._closed_form(reading.label, run) if reading.of_beam else None
             if closed_form is None:
                 tables: tuple[WantedTable, ...] = run.table(coarse=False), run.table()
             else:
                 # what effects do to it is simulated
-                run, tables = replace(run, photons=self._effect_photons, check=False), ()
+                run, tables = replace(run, photons=own, check=False), ()
             benches.append(_Bench(run, closed_form, tables))
         return benches
+
+    @functools.cached_property
+    def looks(self) -> list[PlannedRun]:
+        """First looks at the bench as it is, by reading; none where all get as many photons."""
+        scene, of_beam = self.campaign.scene, any(reading.of_beam for reading in self._readings)
+        wrapped = any(shape.get("type") == "wrapping" for shape in scene.root.iter("shape"))
+        if self._given or self._sigma is None or of_beam or not wrapped:
+            return []
+        photons, check = self._look_photons, self._check
+        return [
+            self._simulation(scene, values, photons, of_beam=False, check=check)
+            for values in configurations(self.campaign)
+        ]
+
+    @functools.cached_property
+    def _photons(self) -> list[int]:
+        """Of every reading's simulations with an effect."""
+        if not self.looks:
+            return [self._effect_photons] * len(self._readings)
+        tables = self.schedule.tables([run.table() for run in self.looks], by_all=True)
+        most = EFFECT_PHOTONS // LANES
+        asked: dict[Identity, int] = {}
+        for run, reading in zip(self.looks, self._readings, strict=True):
+            assert self._sigma is not None
+            sigma = self._sigma if math.isnan(reading.sigma) else reading.sigma / reading.signal
+            error = tables[run.table().number].usual_error / (_PRECISE * sigma)
+            units = error**2 * run.photons / LANES
+            # in the dark nothing is known
+            units = min(2 ** max(math.ceil(math.log2(units)), 0), most) if units > 0.0 else most
+            # readings that masks are cut out for share their photons
+            asked[run.identity] = max(units, asked.get(run.identity, 0))
+        return [_units(self._part * asked[run.identity] * LANES) * LANES for run in self.looks]
 
     def _plans(
         self, effects: Sequence[Effect], look: Collection[str], plain: Sequence[PlannedRun]
@@ -271,7 +324,10 @@ class ResponseMaker:
         acting += [_as_effect(self.campaign, name) for name in self._further_parameters()]
         # where a model may change the acceptance, every effect's response depends on it
         acceptance = next((p for e in acting if e.of_beam for p in e.parameters), None)
-        few = [replace(run, photons=self._effect_photons, check=False) for run in plain]
+        few = [
+            replace(run, photons=own, check=False)
+            for run, own in zip(plain, self._photons, strict=True)
+        ]
         for effect in acting:
             is_look = effect.name in look
             yield self._plan(effect, few if is_look else plain, acceptance, is_look=is_look)
@@ -285,7 +341,6 @@ class ResponseMaker:
         is_look: bool,
     ) -> _EffectPlan:
         """An effect at the nodes of its parameters."""
-        photons = self._look_photons if is_look else self._effect_photons
         benches = [{**self.campaign.values, **run.parameters} for run in plain]
         few = is_look and (not self._weighs(effect) or effect.proposal is not None)
         axes = tuple(
@@ -296,13 +351,13 @@ class ResponseMaker:
             (parameter,) = effect.parameters
             nodes = sorted(parameter.nodes, key=abs)[: None if effect.number.is_index else 2]
             axes = (Axis(parameter, [0.0, *nodes]),)
-        return self._plan_along(axes, effect, plain, photons, acceptance)
+        return self._plan_along(axes, effect, plain, acceptance, is_look=is_look)
 
     def _plan_of_tolerance(self, tolerance: Tolerance, plain: Sequence[PlannedRun]) -> _EffectPlan:
         """A number of the bench, off a little either way."""
         effect = tolerance.wrong
         axes = (Axis(effect.parameters[0], [0.0, *tolerance.near]),)
-        plan = self._plan_along(axes, effect, plain, self._look_photons)
+        plan = self._plan_along(axes, effect, plain, is_look=True)
         return replace(plan, name=tolerance.number.name)
 
     def _plan_along(
@@ -310,11 +365,12 @@ class ResponseMaker:
         axes: tuple[Axis, ...],
         effect: Effect,
         plain: Sequence[PlannedRun],
-        photons: int,
         acceptance: EffectParameter | None = None,
+        *,
+        is_look: bool,
     ) -> _EffectPlan:
         """An effect at nodes of some axes; those of `acceptance` are last, where beams see it."""
-        readings = self.campaign.measurements.readings
+        readings = self._readings
         seeing = [n for n, run in enumerate(plain) if self._is_seen(effect, run, readings[n])]
         further = None
         if acceptance and not effect.of_beam and any(plain[number].of_beam for number in seeing):
@@ -322,7 +378,10 @@ class ResponseMaker:
             further = _axis(acceptance, self.campaign.values, benches)
         nodes: list[_Node] = []
         for number in seeing:
-            run, row = plain[number], self.campaign.measurements.readings[number]
+            run, row, photons = plain[number], readings[number], self._photons[number]
+            # of few photons a part would tell nothing: the nodes of a first look are the last ones'
+            if is_look and photons == self._effect_photons:
+                photons = self._look_photons
             source, reference = self._sources(effect, run, photons)
             at_own_acceptance = self._at_own_acceptance(run)
             for place, values in _nodes(axes):
@@ -383,7 +442,7 @@ class ResponseMaker:
 
         Of more photons, or by a closed form, the latter are `known` by reading and mask, or angle.
         """
-        readings = self.campaign.measurements.readings
+        readings = self._readings
         shape = (*(len(axis.values) for axis in plan.axes), len(readings), *self._coarse.counts)
         log_ratio = np.zeros(shape)
         deviations = np.zeros((BATCHES, *shape), dtype=np.float32)
@@ -402,10 +461,10 @@ class ResponseMaker:
     def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:
         """All effects at once, simulated at values of the free parameters, the scale left out."""
         physical = [effect for effect in effects if effect.reading is None]
-        photons = min(ANCHOR_FACTOR * self._effect_photons, _MOST_PHOTONS)
-        readings = self.campaign.measurements.readings
         points, wanted = [], []
-        for reading, values_of in zip(readings, configurations(self.campaign), strict=True):
+        for reading, values_of, own in zip(
+            self._readings, configurations(self.campaign), self._photons, strict=True
+        ):
             # without a liquid such effects do nothing, but their edits would change the scene
             idle = [
                 effect
@@ -429,10 +488,11 @@ class ResponseMaker:
                     there[name] = values[of]
             for effect in physical:
                 if effect.number is not None and effect.number.is_of(there):
-                    own = {p.name: values.get(p.name, 0.0) for p in effect.parameters}
-                    there |= _as_scene_values(effect, there, own)
+                    sizes = {p.name: values.get(p.name, 0.0) for p in effect.parameters}
+                    there |= _as_scene_values(effect, there, sizes)
             points.append(there)
-            run = self._simulation(scene, there, photons, of_beam=reading.of_beam)
+            most = min(ANCHOR_FACTOR * own, _MOST_PHOTONS)
+            run = self._simulation(scene, there, most, of_beam=reading.of_beam)
             wanted.append(run.table(coarse=False))
         tables = self.schedule.tables(wanted)
         self.schedule.rest_on(" ".join((_PLAIN, *(effect.name for effect in effects))), wanted)
@@ -549,6 +609,11 @@ class ResponseMaker:
         reading = measurements.readings[dark[0][axis]]
         problem = f"no light is detected in the configuration of {reading.label}{beyond}"
         raise measurements.refusal(reading, None, problem, "check its parameters")
+
+
+def _units(photons: float) -> int:
+    """Photons in `LANES`, one at least, as many as memory holds at most."""
+    return min(max(round(photons / LANES), 1), _MOST_PHOTONS // LANES)
 
 
 def configurations(campaign: Campaign) -> list[dict[str, Value]]:

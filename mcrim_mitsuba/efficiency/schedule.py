@@ -144,10 +144,13 @@ class Schedule:
         """Keep what a result rests on, in place of what it rested on before."""
         self._rests_on[result] = {table.run.identity for table in wanted}
 
-    def tables(self, wanted: Sequence[WantedTable]) -> Mapping[int, EtaGrid]:
+    def tables(
+        self, wanted: Sequence[WantedTable], *, by_all: bool = False
+    ) -> Mapping[int, EtaGrid]:
         """All tables made so far by number, the wanted ones among them.
 
-        Those of one simulation are made together.
+        Those of one simulation are made together. Few that decide what comes next are made
+        `by_all`, see `runs.executors.Executor`.
 
         Raises InputError if a scene is not sound, or leaks.
         """
@@ -170,7 +173,7 @@ class Schedule:
 
         jobs = [Job(self._unit(members), self._cache) for members in groups]
         executor = many_units_executor(self._run.threads)
-        for done in executor.do(jobs, threads=self._run.threads, progress=report):
+        for done in executor.do(jobs, threads=self._run.threads, by_all=by_all, progress=report):
             members = groups[done.index]
             self._was_cached.setdefault(members[0].run.identity, done.cached)
             for table in members:

@@ -27,7 +27,6 @@ from mcrim_mitsuba.efficiency.attenuation import SOURCE_WIDTH
 from mcrim_mitsuba.efficiency.eta_grid import APERTURE, WINDOW
 from mcrim_mitsuba.efficiency.proposals import Beyond
 from mcrim_mitsuba.efficiency.response_maker import (
-    EFFECT_PHOTONS,
     PLAIN_FACTOR,
     ResponseMaker,
 )
@@ -197,6 +196,8 @@ class CampaignSimulations:
         wanted = [catalogue[name] for name in (*self.campaign.effects, *effects)]
         precise = frozenset[str]() if self._models is None else self._models.precise
         precise |= {e.name for e in wanted if e.name not in look or e.reading is not None}
+        if self._models is None and self.maker.looks and self.campaign.tolerances:
+            self._look_beyond(wanted)
         self._models = CampaignModels(
             campaign=self.campaign,
             responses=self.maker.make(wanted, set(look) - precise),
@@ -216,6 +217,23 @@ class CampaignSimulations:
             self._anchor = fit.model.anchor
             self._models = replace(self._models, anchor=self._anchor)
         return self._models
+
+    def _look_beyond(self, wanted: Sequence[Effect]) -> None:
+        """Let simulations cover what the readings ask for by the bench's own numbers alone.
+
+        Tolerances are simulated on what is then known to be wide enough: they take as long.
+        """
+        without = replace(self.campaign, tolerances=())
+        models = CampaignModels(
+            campaign=without,
+            responses=self.maker.make(wanted, tolerances=False),
+            anchor=None,
+            precise=frozenset(),
+        )
+        beyond = self._goes_beyond(find_minima(Statistic(models.model()))[0])
+        if beyond != self._beyond:
+            self._beyond = beyond
+            del self.maker
 
     def _goes_beyond(self, minimum: Minimum) -> Beyond:
         """At which ends the readings ask for scattering that the simulations do not cover.
@@ -324,10 +342,9 @@ class CampaignSimulations:
 
     def _maker_of(self, campaign: Campaign, what: str, part: float = 1.0) -> ResponseMaker:
         """What makes responses of a campaign, its progress shown under a name."""
-        photons = max(round(part * self.run.photons_or(EFFECT_PHOTONS)), 1)
-        maker = ResponseMaker(
-            campaign, replace(self.run, photons=photons), what, beyond=self._beyond
-        )
+        # what cannot be diagnosed takes little time as it is
+        sigma = self._usual_sigma(of_beam=False) if self.campaign.ndf > 0 else None
+        maker = ResponseMaker(campaign, self.run, what, part=part, sigma=sigma, beyond=self._beyond)
         self._schedules.append(maker.schedule)
         return maker
 

@@ -324,7 +324,7 @@ AHEAD = 4
 #: From how many units, and photons in all, on it is worth while to start processes.
 FEWEST = 8, 12_500_000
 #: The same of the first units where many follow: several times their work.
-FEWEST_OF_MANY = 2, 2_500_000
+FEWEST_OF_MANY = 2, 50_000
 #: Seconds that processes wait for more units.
 IDLE_S = 60.0
 

@@ -19,7 +19,8 @@ from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, difference
 from mcrim_mitsuba.efficiency.polished_box import solve_box
-from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR, ResponseMaker
+from mcrim_mitsuba.efficiency.proposals import Beyond, coverage_of
+from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR, ResponseMaker
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.repair import mended_files, repair
@@ -158,6 +159,31 @@ def test_the_bench_as_it_is_is_that_of_the_solver(campaign, made):
         assert abs(eta - solved) < 4.5 * sigma < 0.02 * eta, (row, eta, solved)
     photons = ResponseMaker(campaign, Run(LANES, check=False)).make([]).photons
     assert photons == 2 * PLAIN_FACTOR * LANES  # both masks are cut out of one simulation
+
+
+def test_readings_get_the_photons_that_their_errors_ask_for():
+    """Two errors of 32 batches, each known to 13 %, and powers of two: three sigma are 1.6."""
+    wrapped = read_campaign(SCENES / "lyso_bar.toml")
+    made = ResponseMaker(wrapped, Run(check=False), sigma=0.01).make([], tolerances=False)
+    readings = wrapped.measurements.readings
+    assert made.photons < 0.25 * len(readings) * PLAIN_FACTOR * EFFECT_PHOTONS
+    i, j = (count // 2 for count in made.grid.counts)
+    for row, reading in enumerate(readings):
+        error = made.deviations[:, row, i, j].std(ddof=1) / math.sqrt(BATCHES / PLAIN_FACTOR)
+        assert error < 0.7 * 1.6 * reading.sigma / reading.signal, reading.label
+    half = ResponseMaker(wrapped, Run(check=False), part=0.5, sigma=0.01).make([], tolerances=False)
+    assert half.photons < made.photons
+
+
+def test_the_article_s_readings_get_all_photons():
+    article = read_campaign(SCENES / "camoo4_table1.toml")
+    made = ResponseMaker(article, Run(check=False), sigma=0.01).make([], tolerances=False)
+    assert made.photons == 2 * PLAIN_FACTOR * EFFECT_PHOTONS  # all masks are cut out of two
+
+
+def test_proposals_end_where_the_campaign_does():
+    ends = coverage_of(read_campaign(SCENES / "lyso_bar.toml"), Beyond(low=True, high=True)).fine
+    assert ends.alpha_scat_range_per_cm == (0.0005, 1.0)
 
 
 def test_what_plain_photons_are_off_by_is_taken_away():
