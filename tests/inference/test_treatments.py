@@ -110,7 +110,7 @@ def test_shared_sizes_are_found_again(shipped):
         measured = dataclasses.replace(campaign.measurements, readings=tuple(rows))
         drawn_campaign = dataclasses.replace(campaign, measurements=measured)
         drawn_campaign = drawn_campaign.with_priors({"alpha_abs_per_cm": (prior, 0.002)})
-        drawn_model = type(model)(drawn_campaign, model.responses, drawn_campaign.switched_on)
+        drawn_model = type(model)(drawn_campaign, model.responses, (), model.anchor)
         fit = result_of(find_minima(Statistic(drawn_model)), profile=False)
         sigmas = [fit.parameters[name].sigma for name in names]
         pulls.append((np.array([fit.values[name] for name in names]) - truth) / sigmas)
@@ -189,7 +189,9 @@ def test_a_second_line_tells_a_bent_readout_from_all_else(read):
     """A readout that bends by 30 % is found with the second line, and hides without it."""
     rows = CSV.replace("nonlinearity,", "").replace(",0,511", ",511").replace(",1,511", ",511")
     rows = rows.replace(",1,1275", ",1275").replace(",1,1400", ",1400")
-    campaign = read(TEXT, rows).with_effects(["nonlinearity"])
+    # what grinding does is known, so that one line says anything at all
+    text = TEXT.replace("start = 0.3\n", "start = 0.3\nprior = 0.3\nprior_sigma = 0.02\n")
+    campaign = read(text, rows).with_effects(["nonlinearity"])
     model = CampaignSimulations(campaign, Run(4 * LANES, seed=2)).models.model()
     values = {p.name: p.start for p in model.free} | {"scale": 2.0, "nonlinearity": 0.3}
     true = model.predict(np.array([values[p.name] for p in model.free])).signal
@@ -201,7 +203,7 @@ def test_a_second_line_tells_a_bent_readout_from_all_else(read):
         )
         measured = dataclasses.replace(campaign.measurements, readings=readings)
         own = dataclasses.replace(campaign, measurements=measured)
-        fit = fit_model(type(model)(own, model.responses, own.switched_on))
+        fit = fit_model(type(model)(own, model.responses, own.switched_on, model.anchor))
         return fit.parameters["nonlinearity"]
 
     both, one = size_of([True] * 6), size_of([True] * 4 + [False] * 2)
