@@ -166,7 +166,7 @@ def edges(shapes: Iterable[Triangles], radius: float) -> Triangles:
     for number in wanted[np.argsort(first[wanted])]:  # in the order of the triangles
         side = first[number]
         if sharp[number] or _is_rim(sides[side], of_side[side], corners, normals, boxes):
-            rods.append(_rod(*sides[side], radius))
+            rods.append(_rod(sides[side, 0], sides[side, 1], radius))
     return Triangles(np.concatenate(rods) if rods else np.zeros((0, 3, 3)))
 
 
