@@ -108,6 +108,18 @@ def shared_cache(tmp_path_factory) -> Path:
     return folder / "records"
 
 
+@pytest.fixture(scope="module")
+def kept_records(shared_cache):
+    """What a file's tests simulate is kept, as users' commands do: what is alike, is done once.
+
+    For files whose tests ask the same bench several things. Keys tell seed, photons, scene and
+    code, so that a test still fails whose verbs simulate something else.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MCRIM_CACHE", str(shared_cache))
+        yield
+
+
 #: Files that take a minute or more: begun last, one would go on when nobody else has work. Those
 #: that share a cache with `test_app` come when it is done: side by side all would simulate.
 LONGEST = (
@@ -115,18 +127,18 @@ LONGEST = (
     "test_docs",
     "test_golden",
     "test_page",
+    "test_every_campaign",
     "test_hidden_effects",
     "test_wheel",
-    "test_effect_responses",
-    "test_render",
-    "test_every_campaign",
-    "test_records",
-    "test_work",
-    "test_validate",
-    "test_kernel_effects",
-    "test_eta_spectrum",
     "test_calibrate",
     "test_session",
+    "test_effect_responses",
+    "test_kernel_effects",
+    "test_validate",
+    "test_work",
+    "test_records",
+    "test_render",
+    "test_eta_spectrum",
     "test_plugins",
     "test_rival_causes",
     "test_tracer_effects",

@@ -1,8 +1,8 @@
 """Which effects of a catalogue explain a campaign's misfit.
 
-The stages: `diagnose` screens (a first look at all effects) and repeats what follows until all
-that it rests on was simulated in full; `diagnose_models` fits and judges (`_judged`), weighs,
-repairs and advises. Each gives a small record to the next.
+The stages: `diagnose` screens (a first look at all effects) and lets `judge` fit, weigh and choose
+a repair until all that its judgement rests on was simulated in full; `diagnosis_of` ranks and
+advises. Each gives a small record to the next.
 """
 
 from __future__ import annotations
@@ -241,23 +241,28 @@ def diagnose(
         run.tell("looking for what deserves more photons", 1, 1)
         precise = promising_effects(models.model, candidates, baseline.minimum)
     first = frozenset(precise)
+
+    def progress(words: str) -> None:
+        run.tell(words, 1, 1)
+
     while True:
         models = simulations.simulate(names, look=set(names) - {*precise, *adding})
-        diagnosis = diagnose_models(
+        judged = judge(
             models.model,
             candidates,
             catalogue=possible,
             fit=baseline,
-            proposals=simulations.proposals(),
             adding=tuple(dict.fromkeys(adding)),
             sure=sure,
             seed=run.seed,
-            progress=lambda words: run.tell(words, 1, 1),
+            progress=progress,
         )
-        if models.precise >= (named := _rests_on(diagnosis, names)):
+        if models.precise >= (named := judged.rests_on):
             break
         # what the diagnosis names gets all photons; if that names others again, all effects do
         precise |= named if precise <= first else set(names)
+    # only now: whatever may be measured next is simulated for it
+    diagnosis = diagnosis_of(judged, simulations.proposals(), progress=progress)
     screened.write(precise)
     if diagnosis.caution:
         simulations.notes.append(diagnosis.caution)
@@ -318,30 +323,47 @@ def _tried(
     return {name: effect for name, effect in possible.items() if name in wanted}
 
 
-def _rests_on(diagnosis: Diagnosis, tried: Collection[str]) -> set[str]:
-    """Effects that a diagnosis names or counts with."""
-    if diagnosis.verdict == ADEQUATE:
-        return set()
-    likely = {key for key, p in diagnosis.probabilities.items() if p > JUDGING.likely}
-    counted = {name for key in likely for name in key.split(" + ")} & set(tried)
-    added = {name for step in diagnosis.repair for name in step.effects}
-    return {*diagnosis.leading, *diagnosis.set_aside, *counted, *added}
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """What a campaign's readings say of its explanations."""
+
+    fit: Calibration
+    explanations: Explanations
+    #: None where no degrees of freedom are left to judge by.
+    judgement: Judgement | None
+    #: Effects that a repair adds, and those that it would add, were they plausible or sufficient.
+    chosen: tuple[str, ...] = ()
+    set_aside: tuple[str, ...] = ()
+    #: Of the campaigns that are drawn.
+    seed: int
+    seconds: float
+
+    @property
+    def rests_on(self) -> set[str]:
+        """Effects that it names or counts with."""
+        judgement = self.judgement
+        if judgement is None or judgement.verdict.word == ADEQUATE:
+            return set()
+        likely = {key for key, p in judgement.probabilities.items() if p > JUDGING.likely}
+        counted = {name for key in likely for name in key.split(" + ")}
+        leading = {name for group in judgement.verdict.leading for name in group}
+        tried = counted & {*self.explanations.effects}
+        return {*leading, *self.set_aside, *tried, *self.chosen}
 
 
 @one_thread()
-def diagnose_models(
+def judge(
     models: Models,
     effects: Mapping[str, Effect],
     *,
     catalogue: Mapping[str, Effect] | None = None,
     fit: Calibration | None = None,
-    proposals: MeasurementProposals | None = None,
     adding: tuple[str, ...] = (),
     sure: float = JUDGING.named,
     seed: int = 0,
     progress: Callable[[str], None] = lambda words: None,
-) -> Diagnosis:
-    """The diagnosis of models, however they were made.
+) -> Judged:
+    """Which effects explain the readings of models, however these were made.
 
     ``models(added)`` gives the model of the campaign with the effects `added` (a sorted tuple of
     names) besides its own; with the interface of `model.Model`, and if it has
@@ -349,36 +371,61 @@ def diagnose_models(
     simulation that are common to all models, gains have an error. It may raise `InputError` where
     the scene cannot take an effect.
 
-    `effects` are tried, of all in the `catalogue` that may be missing (by default the same), and
-    `proposals` may be measured next. `fit` is that of the campaign as it is, made here where it is
-    not given. The repair adds `adding`, whatever the verdict. A family is named from the
-    probability `sure` on. `seed` is of the campaigns that are drawn to know what chance gains, and
-    `progress` is told in words what is being done.
+    `effects` are tried, of all in the `catalogue` that may be missing (by default the same). `fit`
+    is that of the campaign as it is, made here where it is not given. The repair adds `adding`,
+    whatever the verdict. A family is named from the probability `sure` on. `seed` is of the
+    campaigns that are drawn to know what chance gains, and `progress` is told in words what is
+    being done.
     """
     began = time.perf_counter()
     fit = fit_model(models(())) if fit is None else fit
     explanations = Explanations(models, effects, fit.minimum, catalogue=catalogue)
+    judgement: Judgement | None = None
+    chosen: tuple[str, ...] = ()
+    set_aside: tuple[str, ...] = ()
+    if fit.ndf > 0:
+        judgement = _judged(explanations, seed, sure, progress)
+        chosen, set_aside = _repair(judgement, adding, progress)
+    return Judged(
+        fit=fit,
+        explanations=explanations,
+        judgement=judgement,
+        chosen=chosen,
+        set_aside=set_aside,
+        seed=seed,
+        seconds=time.perf_counter() - began,
+    )
+
+
+@one_thread()
+def diagnosis_of(
+    judged: Judged,
+    proposals: MeasurementProposals | None = None,
+    *,
+    progress: Callable[[str], None] = lambda words: None,
+) -> Diagnosis:
+    """The diagnosis of what was judged, with advice where `proposals` may be measured next."""
+    began = time.perf_counter()
+    fit, explanations, judgement = judged.fit, judged.explanations, judged.judgement
     progress("looking for suspect readings")
     compared = comparison_of(fit)
-    titles = {name: effect.title for name, effect in effects.items()}
-    if fit.ndf <= 0:
+    titles = {name: effect.title for name, effect in explanations.effects.items()}
+    if judgement is None:
         return Diagnosis(
             verdict=TOO_FEW_READINGS,
             reason=f"{fit.minimum.statistic.knowns} readings and priors determine "
             f"{len(fit.names)} free parameters: none is left to check the model with",
             baseline=compared,
             repair=steps(explanations, ()),
-            seconds=time.perf_counter() - began,
+            seconds=judged.seconds + time.perf_counter() - began,
             titles=titles,
         )
-    judgement = _judged(explanations, seed, sure, progress)
     verdict, weighing = judgement.verdict, judgement.weighing
     candidates = CandidateMaker(judgement)
     limits = {}
     if verdict.word == ADEQUATE:
         progress("following limits")
         limits = upper_limits(explanations)
-    chosen, set_aside = _repair(judgement, adding, progress)
     advice: tuple[NextMeasurement, ...] = ()
     if proposals is not None and verdict.word in (AMBIGUOUS, UNEXPLAINED):
         progress("looking for what to measure next")
@@ -394,17 +441,17 @@ def diagnose_models(
         unsettled=verdict.unsettled,
         upper_limits=limits,
         suspect_readings=verdict.suspects,
-        repair=steps(explanations, chosen),
+        repair=steps(explanations, judged.chosen),
         next_measurements=advice,
         not_tried=dict(explanations.refused),
         probabilities=judgement.probabilities,
         inclusion=weighing.inclusion,
         caution=weighing.caution,
-        capability=judgement.capability(seed),
+        capability=judgement.capability(judged.seed),
         light_yield_averaged=judgement.light_yield,
-        seconds=time.perf_counter() - began,
+        seconds=judged.seconds + time.perf_counter() - began,
         families=_families(judgement),
-        set_aside=set_aside,
+        set_aside=judged.set_aside,
         titles=titles,
     )
 

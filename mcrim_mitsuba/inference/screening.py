@@ -25,7 +25,7 @@ from mcrim_mitsuba.runs.executors import current_executor, number_of
 def promising_effects(models: Models, effects: Mapping[str, Effect], baseline: Minimum) -> set[str]:
     """Effects that may explain the readings, after a first look at all of them.
 
-    Parameters and errors as for `diagnose.diagnose_models`.
+    Parameters and errors as for `diagnose.judge`.
     """
     explanations = Explanations(models, effects, baseline)
     fits = explanations.singles()

@@ -144,27 +144,51 @@ def edges(shapes: Iterable[Triangles], radius: float) -> Triangles:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     size = np.ptp(corners.reshape(-1, 3), axis=0).max()
-    by_place: dict[tuple, list] = {}
-    for triangle, normal in zip(corners, normals, strict=True):
-        for ends in triangle[[[0, 1], [1, 2], [2, 0]]]:
-            key = tuple(sorted(map(tuple, np.round(ends / (1e-5 * size)).astype(int).tolist())))
-            by_place.setdefault(key, []).append((ends, normal))
+    sides = corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
+    of_side = np.repeat(normals, 3, axis=0)
+    # sides between the same two places meet in one edge
+    places = np.round(sides.reshape(-1, 3) / (1e-5 * size)).astype(int)
+    _, place = np.unique(places, axis=0, return_inverse=True)
+    ends = np.sort(place.reshape(-1, 2), axis=1)
+    _, first, edge, sharing = np.unique(
+        ends[:, 0] * len(places) + ends[:, 1],
+        return_index=True,
+        return_inverse=True,
+        return_counts=True,
+    )
+    lowest = np.ones(len(first))
+    cosines = np.einsum("ij,ij->i", of_side[first[edge]], of_side)
+    np.minimum.at(lowest, edge, cosines)
+    boxes = corners.min(axis=1), corners.max(axis=1)
     rods = []
-    for sides in by_place.values():
-        ends, normal = sides[0]
-        others = [other for _, other in sides[1:]]
-        sharp = any(normal @ other < _SHARP for other in others)
-        if sharp or (not others and _is_rim(ends, normal, corners, normals)):
-            rods.append(_rod(ends[0], ends[1], radius))
+    sharp = lowest < _SHARP
+    wanted = np.flatnonzero(sharp | (sharing == 1))
+    for number in wanted[np.argsort(first[wanted])]:  # in the order of the triangles
+        side = first[number]
+        if sharp[number] or _is_rim(sides[side], of_side[side], corners, normals, boxes):
+            rods.append(_rod(sides[side, 0], sides[side, 1], radius))
     return Triangles(np.concatenate(rods) if rods else np.zeros((0, 3, 3)))
 
 
-def _is_rim(ends: np.ndarray, normal: np.ndarray, corners: np.ndarray, normals: np.ndarray) -> bool:
-    """Whether no triangle goes on beyond an edge, as one of other corners may."""
+def _is_rim(
+    ends: np.ndarray,
+    normal: np.ndarray,
+    corners: np.ndarray,
+    normals: np.ndarray,
+    boxes: tuple[np.ndarray, np.ndarray],
+) -> bool:
+    """Whether no triangle goes on beyond an edge, as one of other corners may.
+
+    `boxes` are the lowest and highest coordinates of each triangle: few hold what is beyond.
+    """
     along = ends[1] - ends[0]
     beyond = ends.mean(axis=0) + 1e-3 * np.cross(along, normal)
+    apart = 1e-4 * np.linalg.norm(along)
+    slack = apart / _SHARP  # along `normal`
+    held = ((boxes[0] <= beyond + slack) & (beyond - slack <= boxes[1])).all(axis=1)
+    corners, normals = corners[held], normals[held]
     level = np.abs(np.einsum("ij,ij->i", beyond - corners[:, 0], normals))
-    near = corners[(normals @ normal > _SHARP) & (level < 1e-4 * np.linalg.norm(along))]
+    near = corners[(normals @ normal > _SHARP) & (level < apart)]
     sides = np.cross(np.roll(near, -1, axis=1) - near, beyond - near) @ normal
     return not bool((sides >= 0).all(axis=1).any())
 

@@ -24,6 +24,8 @@ from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.output.describe_campaign import numbers_of_bench
 from mcrim_mitsuba.transport.launch_plan import LANES
 
+pytestmark = pytest.mark.usefixtures("kept_records")
+
 
 @pytest.fixture
 def campaign(scenes, tmp_path):
@@ -218,7 +220,7 @@ def test_strange_readings_end_in_a_line_or_in_a_fit_that_says_so(campaign, rows,
 
 
 @pytest.fixture(scope="module")
-def wide(scenes, tmp_path_factory):
+def wide(scenes, tmp_path_factory, kept_records):
     """Writes a campaign of a crystal 0.3 mm wider than its scene has it; gives its simulations."""
     tmp_path = tmp_path_factory.mktemp("wide")
     scene = (scenes / "camoo4.xml").read_text()

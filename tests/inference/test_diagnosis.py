@@ -17,7 +17,7 @@ from mcrim_mitsuba.core.files import plain
 from mcrim_mitsuba.inference import judgement, simulations
 from mcrim_mitsuba.inference.candidates import upper_limits
 from mcrim_mitsuba.inference.compare import comparison_of, find_trends
-from mcrim_mitsuba.inference.diagnose import diagnose_models
+from mcrim_mitsuba.inference.diagnose import diagnosis_of, judge
 from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.drivers import find_minima, newton, settle
 from mcrim_mitsuba.inference.estimates import left_out, left_out_error
@@ -67,7 +67,7 @@ def promising(models):
 
 
 def diagnosed(*args, **kwargs):
-    return diagnose_models(campaign(*args, **kwargs), SOME)
+    return diagnosis_of(judge(campaign(*args, **kwargs), SOME))
 
 
 def test_solver_finds_what_minuit_finds():
@@ -142,7 +142,7 @@ def test_no_more_false_alarms_than_stated(under_the_null):
 
 
 def test_nothing_hidden_is_adequate_with_limits():
-    found = diagnose_models(campaign(3), bench.EFFECTS)
+    found = diagnosis_of(judge(campaign(3), bench.EFFECTS))
     assert found.verdict == "adequate" and found.leading == ()
     assert [step.added for step in found.repair] == [None]
     assert set(found.upper_limits) == set(bench.EFFECTS)
@@ -193,7 +193,7 @@ def one_hidden():
     """The diagnosis of a campaign with surface absorption hidden."""
     light = LightYieldInput(60.0, 0.1, 0.01)
     models = campaign(4, {"surface_loss": 0.02}, ("surface_absorption",), light=light)
-    return diagnose_models(models, SOME)
+    return diagnosis_of(judge(models, SOME))
 
 
 def test_a_hidden_effect_is_found_and_repaired(one_hidden):
@@ -216,7 +216,7 @@ def test_a_hidden_effect_is_found_and_repaired(one_hidden):
 def test_a_readout_that_bends_either_way_is_named(size):
     names = "nonlinearity background gap_bubble surface_absorption polarization source_depth"
     models = campaign(7, {"nonlinearity": size, "scale": 3.0 * TRUTH["scale"]})
-    found = diagnose_models(models, {name: SOME[name] for name in names.split()})
+    found = diagnosis_of(judge(models, {name: SOME[name] for name in names.split()}))
     assert found.verdict == "missing_effect" and found.leading == ("nonlinearity",)
     estimate = found.candidates[0].parameters["nonlinearity"]
     assert abs(estimate.value - size) < 3.0 * estimate.sigma
@@ -282,7 +282,7 @@ def test_too_few_readings_are_said_to_be():
     def models(added):
         return bench.Model((first, rows[3]), tuple(added))
 
-    found = diagnose_models(models, bench.EFFECTS)
+    found = diagnosis_of(judge(models, bench.EFFECTS))
     assert found.verdict == "too_few_readings"
     assert found.baseline.p_value is None and found.baseline.ndf == 0
 
@@ -308,7 +308,7 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
     proposals = MeasurementProposals(
         bench.ROWS, [lambda added: bench.Model(rows, added)], models, bench.SIGMA
     )
-    found = diagnose_models(models, SOME, proposals=proposals)
+    found = diagnosis_of(judge(models, SOME), proposals)
     assert found.verdict == "ambiguous" and "gap_bubble" in found.leading
     measured = [row.parameters for row in few]
     best = next(each for each in found.next_measurements if each.kind == "reading")

@@ -13,7 +13,7 @@ from trials import formula_bench as bench
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.inference.compare import find_suspects, likely_swaps
-from mcrim_mitsuba.inference.diagnose import diagnose_models
+from mcrim_mitsuba.inference.diagnose import diagnosis_of, judge
 from mcrim_mitsuba.inference.displacement import BaselineFrame, NullDistribution
 from mcrim_mitsuba.inference.drivers import settle
 from mcrim_mitsuba.inference.judgement import Judgement
@@ -49,7 +49,7 @@ def hidden(name, seed, known):
     """A campaign with an effect, diagnosed with these."""
     parameter, size = HIDDEN[name]
     effects = {other: effect for other, effect in SOME.items() if other in known}
-    return diagnose_models(models(seed, {parameter: size}, (name,)), effects)
+    return diagnosis_of(judge(models(seed, {parameter: size}, (name,)), effects))
 
 
 @pytest.mark.parametrize(("wrong", "seed"), [((5,), 1), ((2, 11), 2), ((1, 8, 13), 3)])
@@ -57,7 +57,7 @@ def test_wrong_readings_are_named(wrong, seed):
     """7 % up or down, as a laboratory's: one, two or three of sixteen."""
     factors = np.ones(len(bench.ROWS))
     factors[list(wrong)] += 0.07 * np.where(np.arange(len(wrong)) % 2, -1.0, 1.0)
-    found = diagnose_models(models(seed, change=lambda signal: signal * factors), SOME)
+    found = diagnosis_of(judge(models(seed, change=lambda signal: signal * factors), SOME))
     assert found.verdict == "unexplained" and not found.repair[1:]
     labels = {f"row{i + 1}" for i in wrong}
     assert set(found.suspect_readings[0].labels) == labels
@@ -73,7 +73,7 @@ def test_swapped_rows_are_named():
         order[[3, 8]] = 8, 3
         return signal[order]
 
-    found = diagnose_models(models(7, change=change), SOME)
+    found = diagnosis_of(judge(models(7, change=change), SOME))
     assert found.verdict == "unexplained"
     assert found.suspect_readings[0].kind == "swapped_rows"
     assert found.suspect_readings[0].labels == ("row4", "row9")
