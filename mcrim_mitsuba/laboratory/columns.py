@@ -44,6 +44,12 @@ _FEWEST_IN_PEDESTAL = 100
 _AROUND = 3.0
 #: Lowest place of such a peak: at a photon or two its width says nothing.
 _LOWEST = 20.0
+#: Smoothings that are tried for it, standard deviations in bins, and the counts over which it is
+#: smooth enough.
+_SMOOTHINGS = (0.7, 1.4, 2.8, 5.6)
+_SMOOTH = 30.0
+#: How many times slower it may fall above its top than below.
+_LOPSIDED = 3
 
 #: Files of instruments, whose spectra are always in channels.
 INSTRUMENTS = (".spe", ".n42", ".chn", ".cnf", ".mca", ".gxml", ".pcf", ".spc", ".root")
@@ -84,28 +90,42 @@ def _pedestal(bins: Array, counts: Array) -> float | None:
 
     Only of bins that are numbered one by one, from 0 or more, as channels are.
     """
-    if np.any(np.diff(bins) != 1.0) or bins[0] < 0:
+    if np.any(np.diff(bins) != 1.0) or bins[0] < 0 or (lowest := lowest_peak(counts)) is None:
         return None
-    # the first maximum of what lies before the counts have fallen to half of it
-    enough = np.flatnonzero(np.cumsum(counts) >= max(_FEWEST_IN_PEDESTAL, 0.01 * counts.sum()))
-    if not len(enough):
-        return None
-    top = int(enough[0])
-    reach = max(3, math.ceil(math.sqrt(bins[top])))
-    top += int(np.argmax(counts[top : top + reach]))
-    below = np.flatnonzero(counts[top::-1] < 0.5 * counts[top])
-    above = np.flatnonzero(counts[top:] < 0.5 * counts[top])
-    if not len(below) or not len(above):
-        return None
-    around = math.ceil(_AROUND * max(int(max(below[0], above[0])), 1))
+    top, half_width = lowest
+    around = math.ceil(_AROUND * half_width)
     near = slice(max(top - around, 0), top + around + 1)
-    events = counts[near].sum()
-    if events < _FEWEST_IN_PEDESTAL:
-        return None
+    events = max(counts[near].sum(), 1.0)
     place = float(np.average(bins[near], weights=counts[near]))
     variance = float(np.average((bins[near] - place) ** 2, weights=counts[near]))
     narrow = place - variance > _NARROWER * variance * math.sqrt(2.0 / events)
     return float(bins[top]) if place > _LOWEST and 2.0 * variance < place and narrow else None
+
+
+def lowest_peak(counts: Array) -> tuple[int, int] | None:
+    """Place and half width at half height, in bins, of the first peak; None where none begins.
+
+    It has a hundredth of the counts, and falls to half as fast on both sides.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    enough = np.flatnonzero(np.cumsum(counts) >= max(_FEWEST_IN_PEDESTAL, 0.01 * counts.sum()))
+    if not len(enough):
+        return None
+    for smoothing in _SMOOTHINGS:
+        smooth = gaussian_filter1d(counts, smoothing, mode="constant")
+        top = int(enough[0])
+        # uphill from where a hundredth of the counts lie below
+        while top + 1 < len(smooth) and smooth[top + 1 : top + 4].max() > smooth[top]:
+            top += 1
+        if smooth[top] * smoothing >= _SMOOTH:
+            break
+    below = np.flatnonzero(smooth[top::-1] < 0.5 * smooth[top])
+    above = np.flatnonzero(smooth[top:] < 0.5 * smooth[top])
+    # where a continuum begins it falls slowly or not at all
+    if not len(below) or not len(above) or above[0] > _LOPSIDED * below[0]:
+        return None
+    return top, int(min(below[0], above[0]))
 
 
 def refuse_photoelectrons(table: DataTable) -> None:
@@ -138,7 +158,7 @@ def counts_alone(table: DataTable) -> bool:
 
 
 def _order(values: Array) -> float:
-    """Von Neumann's ratio of ranks: 1 where neighbours know nothing of each other, 0 if all rise."""
+    """Von Neumann's ratio of ranks: 1 where neighbours are independent, 0 if sorted."""
     _, ranks = np.unique(values, return_inverse=True)
     variance = ranks.var()
     return float(np.mean(np.diff(ranks) ** 2) / (2.0 * variance)) if variance else 0.0

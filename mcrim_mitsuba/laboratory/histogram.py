@@ -57,14 +57,15 @@ class Found:
     high_level: float = 0.0
 
 
-def main_peak(values: Array, counts: Array) -> Found | None:
+def main_peak(values: Array, counts: Array, variances: Array | None = None) -> Found | None:
     """The main peak: of the large ones that of the highest value; None where none stands out.
 
-    Bin centres ascend, all bins of one width.
+    Bin centres ascend, all bins of one width; `variances`, (bins,), where they are not Poisson's.
     """
     smooth, smoothing, tops, widths, prominences = _smoothed_peaks(counts)
-    # Poisson's, of counts that a Gaussian has smoothed
-    noise = np.sqrt(np.maximum(smooth[tops], 1.0) / (2 * math.sqrt(math.pi) * smoothing))
+    # of counts that a Gaussian has smoothed
+    of_counts = smooth[tops] if variances is None else variances[tops]
+    noise = np.sqrt(np.maximum(of_counts, 1.0) / (2 * math.sqrt(math.pi) * smoothing))
     clear = prominences > _STANDS_OUT * noise
     if not clear.any():
         return None

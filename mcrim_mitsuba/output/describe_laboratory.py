@@ -27,6 +27,7 @@ from mcrim_mitsuba.output.description import (
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.reduction import Mounting, RawData
+    from mcrim_mitsuba.laboratory.calibration import Calibration
     from mcrim_mitsuba.laboratory.error_budget import CommonValue, ErrorBudget, Uncertain
     from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency, RelativeMeasurement
     from mcrim_mitsuba.laboratory.peak import Repeated
@@ -79,6 +80,42 @@ def histograms_pieces(raw: RawData) -> list[Piece]:
         return []
     heads = ("reading", Column("histogram", left=True))
     return [_peaks("peaks of the histograms", heads, peaks), *_means("readings", "reading", means)]
+
+
+def calibration_pieces(calibration: Calibration) -> list[Piece]:
+    """What turns channels into photoelectrons: gain, pedestal, ratio of the ranges, errors."""
+    gain, fit, pedestal = calibration.gain, calibration.gain.fit, calibration.pedestal
+    rows = [("channels per photoelectron", pdg(gain.value, gain.sigma or None))]
+    if fit is not None:
+        rows += [
+            ("mean number of photoelectrons of its spectrum", pdg(fit.mean, fit.mean_sigma)),
+            ("excess noise factor", pdg(fit.excess_noise_factor, fit.excess_noise_factor_sigma)),
+        ]
+        if fit.crosstalk is not None and fit.crosstalk_sigma is not None:
+            rows.append(("crosstalk", pdg(fit.crosstalk, fit.crosstalk_sigma)))
+        if fit.spread is not None:
+            rows.append(("spread of a photoelectron, of the gain", f"{fit.spread / fit.gain:.3g}"))
+            rows.append(("its pedestal, channel", pdg(fit.pedestal.position, fit.pedestal.sigma)))
+            rows.append(("noise, channels", f"{fit.pedestal.width:.3g}"))
+            rows.append(("chi2 / ndf of its fit", f"{number(fit.chi2 or 0.0)} / {fit.ndf}"))
+    ratio = pdg(calibration.range_ratio, calibration.range_ratio_sigma or None)
+    own = "every spectrum's own"
+    rows += [
+        ("ratio of the ranges", ratio),
+        (
+            "pedestal of the light, channel",
+            pdg(pedestal.position, pedestal.sigma or None) if pedestal else own,
+        ),
+        ("photoelectrons per channel", f"{calibration.per_channel:.5g}"),
+    ]
+    if calibration.nonlinearity:
+        k, sigma = calibration.nonlinearity, calibration.nonlinearity_sigma
+        rows.append(("nonlinearity, per photoelectron", pdg(k, sigma or None)))
+    return [
+        table("from channels to photoelectrons", ("calibration", Column("", left=True)), rows),
+        f"all readings share {100 * calibration.scale_sigma:.2g} % of scale, which is the light "
+        f"yield's alone, and {calibration.offset_sigma:.2g} photoelectrons of pedestal",
+    ]
 
 
 def _name(mounting: Mounting) -> str:
@@ -183,6 +220,7 @@ def of_reduction(raw: RawData) -> Description:
     """Every step from raw data to readings, efficiency and priors, with its errors."""
     return described(
         "reduction of raw data",
+        calibration_pieces(raw.calibration) if raw.calibration else None,
         histograms_pieces(raw),
         efficiency_pieces(raw.efficiency) if raw.efficiency else None,
         absorption_pieces(raw.absorption) if raw.absorption else None,
@@ -199,6 +237,7 @@ def of_peaks(
     combined: Repeated | None,
     notes: Sequence[str],
     widths: Mapping[str, Sequence[WidthParts]],
+    calibration: Calibration | None = None,
 ) -> Description:
     """The main peak of every histogram, what several mountings make together, and the widths."""
     count = sum(histogram.peak is not None for histogram in fitted)
@@ -218,6 +257,7 @@ def of_peaks(
     )
     return described(
         "peaks of histograms",
+        calibration_pieces(calibration) if calibration else None,
         _peaks(title, ("histogram",), peaks, _PEAK_ALONE) if count else None,
         mean,
         _widths(widths) if widths else None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,10 +14,13 @@ from matplotlib.patches import Patch
 
 from mcrim_mitsuba.campaign.reduction import Mounting, RawData
 from mcrim_mitsuba.core.rounding import number, pdg
+from mcrim_mitsuba.laboratory.calibration import CalibratedHistogram, Gain
+from mcrim_mitsuba.laboratory.digitiser import ChannelSpectrum
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.light_yield import SCALE, DetectorEfficiency
 from mcrim_mitsuba.laboratory.peak import Peak
 from mcrim_mitsuba.laboratory.peak_band import Width, WidthParts
+from mcrim_mitsuba.laboratory.single_photoelectron import Pedestal
 from mcrim_mitsuba.optics.absorption import Absorption, Index
 from mcrim_mitsuba.optics.slab_transmittance import clear_limit
 from mcrim_mitsuba.optics.spectrum import Spectrum, common_grid
@@ -61,7 +64,10 @@ def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> style.Numbers:
             inside = (histogram.photons >= peak.low) & (histogram.photons <= peak.high)
             fit[inside] = peak.counts_at(histogram.photons[inside])
             background[inside] = peak.background_at(histogram.photons[inside])
-        cells = (name, histogram.photons, histogram.counts.astype(int), fit, background)
+        counts = histogram.counts
+        if np.array_equal(counts, np.floor(counts)):
+            counts = counts.astype(int)
+        cells = (name, histogram.photons, counts, fit, background)
         of_fit = (getattr(peak, field, None) for field in of_peak)
         rows += style.numbers_in(dict(zip(columns, (*cells, *of_fit), strict=True)))[1]
     return columns, rows
@@ -127,15 +133,16 @@ def _styles(groups: Sequence[str | None]) -> list[tuple[str, object, str]]:
 
 
 def _draw_steps(axes: Axes, histogram: Histogram, colour: str) -> None:
-    """Steps, with the square roots of the counts as error bars."""
-    photons, counts = histogram.photons, histogram.counts
-    half = 0.5 * (photons[1] - photons[0])
-    edges = np.append(photons - half, photons[-1] + half)
+    """Steps, with the standard errors of the counts as error bars."""
+    photons, counts, edges = histogram.photons, histogram.counts, _edges(histogram.photons)
+    variances = counts
+    if isinstance(histogram, CalibratedHistogram) and histogram.variances is not None:
+        variances = histogram.variances
     axes.stairs(counts, edges, color=colour, lw=1.2, zorder=2)
     axes.stairs(counts, edges, color=colour, fill=True, alpha=0.10, lw=0, zorder=1)
     some = slice(None, None, -(-len(photons) // _MOST_BARS))
     look: dict[str, Any] = {"fmt": "none", "ecolor": colour, "elinewidth": 0.9, "zorder": 2}
-    axes.errorbar(photons[some], counts[some], yerr=np.sqrt(counts[some]), **look)
+    axes.errorbar(photons[some], counts[some], yerr=np.sqrt(variances[some]), **look)
 
 
 def _label(name: str, peak: Peak | None) -> str:
@@ -147,6 +154,110 @@ def _label(name: str, peak: Peak | None) -> str:
         f"{name}: centroid {pdg(peak.centroid, peak.centroid_sigma)}\n"
         f"({peak.shape}, χ² = {number(peak.chi2)}, ndf {peak.ndf})"
     )
+
+
+# From channels to photoelectrons: single photoelectrons, pedestals, the background.
+
+#: Spectra whose pedestals are drawn, at most, and widths of the noise around them.
+_MOST_PEDESTALS = 8
+_PEDESTAL_WIDTHS = 8.0
+
+
+@style.styled
+def draw_calibration(histograms: Sequence[Histogram]) -> style.Drawing:
+    """What calibrates histograms in channels: a panel for each step that there is."""
+    of_channels = [each for each in histograms if isinstance(each, CalibratedHistogram)]
+    calibration = of_channels[0].calibration
+    runs = [(each.spectrum, each.pedestal) for each in of_channels[:_MOST_PEDESTALS]]
+    if calibration.pedestal is not None:
+        run = calibration.pedestal_run
+        runs = [] if run is None else [(run, calibration.pedestal)]
+    steps = {
+        "single photoelectrons": calibration.gain.spectrum and calibration.gain,
+        "pedestal": runs,
+        "background": [each for each in of_channels if each.background is not None][:1],
+    }
+    drawers: dict[str, Callable[..., list[Sequence[object]]]] = {
+        "single photoelectrons": _draw_single_photoelectrons,
+        "pedestal": _draw_pedestals,
+        "background": _draw_background,
+    }
+    there = {name: step for name, step in steps.items() if step}
+    figure = style.canvas(7.2, 0.6 + 3.2 * max(len(there), 1))
+    panels = figure.subplots(max(len(there), 1), 1, squeeze=False)[:, 0]
+    rows: list[Sequence[object]] = []
+    for axes, (name, step) in zip(panels, there.items(), strict=False):
+        rows += [(name, *row) for row in drawers[name](axes, step)]
+        axes.set_title(name, loc="left", fontsize=11)
+        style.open_axes(axes)
+        style.legend(axes, loc="upper right")
+    if not there:
+        words = f"{calibration.gain.value:g} channels per photoelectron, as a number"
+        panels[0].text(0.5, 0.5, words, ha="center", transform=panels[0].transAxes)
+        panels[0].set_axis_off()
+    columns = "step spectrum place events fitted".split()
+    return style.Drawing(figure, columns, rows)
+
+
+def _draw_single_photoelectrons(axes: Axes, gain: Gain) -> list[Sequence[object]]:
+    """The spectrum of few photoelectrons with its fit; its rows."""
+    assert gain.spectrum is not None and gain.fit is not None
+    channels, counts, fit = gain.spectrum.channels, gain.spectrum.counts, gain.fit
+    filled = np.flatnonzero(counts)
+    inside = slice(filled[0], filled[-1] + 1)
+    channels, counts = channels[inside], counts[inside]
+    fitted = np.full(len(channels), np.nan)
+    axes.stairs(counts, _edges(channels), color=style.GREY, label=gain.spectrum.path.name)
+    if fit.spread is not None:
+        fitted = np.diff(fit.counts_below(_edges(channels)))
+        words = f"{pdg(fit.gain, fit.gain_sigma)} channels per photoelectron"
+        axes.plot(channels, fitted, color=style.WARM, lw=1.6, label=words)
+        axes.set(yscale="log", ylim=(0.5, 2.0 * float(counts.max())))
+    axes.set(xlabel="channel", ylabel="events")
+    name = gain.spectrum.path.name
+    return [(name, *row) for row in zip(channels, counts, fitted, strict=True)]
+
+
+def _draw_pedestals(
+    axes: Axes, runs: Sequence[tuple[ChannelSpectrum, Pedestal]]
+) -> list[Sequence[object]]:
+    """Pedestals, their heights alike; their rows."""
+    rows: list[Sequence[object]] = []
+    for (spectrum, pedestal), colour in zip(runs, itertools.cycle(_COLOURS), strict=False):
+        reach = _PEDESTAL_WIDTHS * max(pedestal.width or 0.0, 1.0)
+        near = np.abs(spectrum.channels - pedestal.position) < reach
+        channels, counts = spectrum.channels[near], spectrum.counts[near]
+        words = f"{spectrum.path.name}: {pdg(pedestal.position, pedestal.sigma or None)}"
+        heights = counts / max(float(counts.max(initial=0.0)), 1.0)
+        axes.stairs(heights, _edges(channels), color=colour, label=words)
+        axes.axvline(pedestal.position, color=colour, lw=1, ls=":")
+        rows += [(spectrum.path.name, *row, None) for row in zip(channels, counts, strict=True)]
+    axes.set(xlabel="channel", ylabel="events, highest 1")
+    return rows
+
+
+def _draw_background(
+    axes: Axes, histograms: Sequence[CalibratedHistogram]
+) -> list[Sequence[object]]:
+    """A spectrum, the background in its live time, and their difference; its rows."""
+    (histogram,) = histograms
+    assert histogram.background is not None
+    photons, edges = histogram.photons, _edges(histogram.photons)
+    whole = histogram.counts + histogram.background
+    axes.stairs(whole, edges, color=style.GREY, label=histogram.path.name)
+    axes.stairs(histogram.background, edges, color=style.WARM, label="background in its live time")
+    axes.stairs(histogram.counts, edges, color=style.DARK, label="difference")
+    beyond = whole[photons > 0.1 * photons[-1]]
+    axes.set(xlabel="photoelectrons", ylabel="events per bin", xlim=(0.0, photons[-1]))
+    axes.set_ylim(min(0.0, float(histogram.counts.min())), 1.3 * float(beyond.max(initial=1.0)))
+    name = histogram.path.name
+    return [(name, *row) for row in zip(photons, whole, histogram.background, strict=True)]
+
+
+def _edges(centres: np.ndarray) -> np.ndarray:
+    """Edges of bins of one width."""
+    half = 0.5 * (centres[1] - centres[0])
+    return np.append(centres - half, centres[-1] + half)
 
 
 # Spectra behind the detector's efficiency and the crystal's absorption.
@@ -317,13 +428,15 @@ MOST_HISTOGRAMS = 8
 
 
 def draw_raw_data(raw: RawData, kind: str) -> style.Drawing:
-    """A campaign's raw data of one kind: ``spectra``, ``transmittance`` or ``histograms``.
+    """A campaign's raw data of one kind, as `RawData.kinds` names it.
 
     Of too many histograms, the first mounting of every reading; the numbers are those of all.
     """
     if kind == "spectra":
         assert raw.efficiency is not None
         return draw_efficiency(raw.efficiency)
+    if kind == "calibration":
+        return draw_calibration([m.histogram for r in raw.readings.values() for m in r.mountings])
     if kind == "transmittance":
         assert raw.absorption is not None
         return draw_absorption(raw.absorption)

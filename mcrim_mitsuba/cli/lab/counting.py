@@ -48,7 +48,18 @@ class _Window(options.Written):
     "auto: counting for bins of whole numbers, otherwise gaussian.",
     default="auto",
 )
-@option("--window", _Window(), "Bins to fit, in photons (default: chosen about the peak).")
+@option(
+    "--window",
+    _Window(),
+    "Bins to fit, in photons, or in channels with --calibration (default: chosen about the peak).",
+)
+@options.file(
+    "--calibration",
+    "Campaign, or a file with its table [calibration]: FILEs are in channels of a digitiser; how "
+    "they become photoelectrons is drawn as NAME_calibration.",
+    "calibration_file",
+    metavar="FILE.toml",
+)
 @options.file(
     "--map",
     "Map of eta by `mcrim simulate --map`: split the peaks' widths into counted photoelectrons, "
@@ -60,21 +71,28 @@ class _Window(options.Written):
 @options.deposits
 @options.figure("the histograms with their fits")
 @options.json_output
-def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) -> None:
+def peak(
+    files, shape, window, calibration_file, map_file, depth_mm, deposits, figure, json_file
+) -> None:
     """Centroid of the main peak in each histogram, in photons per event.
 
     \b
     mcrim lab peak air_1.csv air_2.csv air_3.csv air_4.csv --figure air.png
 
-    FILEs hold two columns, bin centre and counts, or one, the photons of every event. Several are
+    FILEs hold two columns, bin centre and counts, or one, the photons of every event; with
+    --calibration what digitisers write (.Spe, .n42, .chn, .cnf, .mca, .root too). Several are
     mountings of one configuration: their mean is given with the error of their scatter and that
     of the fits. A Gaussian that is fitted to counted photons finds the top of the band, below its
     mean: both centroids are shown.
     """
+    from mcrim_mitsuba.campaign.calibration import calibration_of_file
+    from mcrim_mitsuba.campaign.editor import calibration_json
+    from mcrim_mitsuba.laboratory.calibration import calibrated, fit_histogram
+    from mcrim_mitsuba.laboratory.digitiser import read_channels
     from mcrim_mitsuba.laboratory.histogram import read_histogram
-    from mcrim_mitsuba.laboratory.peak import fit_peak
     from mcrim_mitsuba.output.laboratory_figures import (
         FittedHistogram,
+        draw_calibration,
         draw_histograms,
         draw_widths,
     )
@@ -85,17 +103,22 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
         raise InputError(f"--shape {shape} is not known", mend)
     if deposits and not map_file:
         raise InputError("--deposits says where gammas stop on a map", "give --map FILE.nc too")
-    inputs = [*files, *filter(None, (map_file, deposits))]
-    showing.refuse_places(json_file, inputs, figure, *(["widths"] if map_file else []))
+    inputs = [*files, *filter(None, (calibration_file, map_file, deposits))]
+    further = {"calibration": calibration_file, "widths": map_file}
+    showing.refuse_places(json_file, inputs, figure, *(name for name, of in further.items() if of))
     _refuse_duplicates(files)
     names = [Path(file).name for file in files]
     if len(set(names)) < len(names):
         names = list(files)
-    histograms = [read_histogram(file) for file in files]
+    calibration = calibration_file and calibration_of_file(calibration_file)
+    if calibration:
+        histograms = [calibrated(read_channels(file), calibration) for file in files]
+    else:
+        histograms = [read_histogram(file) for file in files]
     fitted = []
     for name, histogram in zip(names, histograms, strict=True):
         with placed(path=histogram.path):
-            main = fit_peak(histogram.photons, histogram.counts, shape=shape, window=window)
+            main = fit_histogram(histogram, shape=shape, window=window)
         fitted.append(FittedHistogram(name, histogram, main))
     peaks = {histogram.name: histogram.peak for histogram in fitted if histogram.peak is not None}
     without = [histogram for histogram in fitted if histogram.peak is None]
@@ -111,12 +134,16 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
         "notes": notes,
     }
     pictures = {"histograms": lambda: draw_histograms(fitted)}
+    if calibration:
+        document["calibration"] = calibration_json(calibration)
+        notes += calibration.notes
+        pictures["calibration"] = lambda: draw_calibration(histograms)
     widths = _widths(peaks, map_file, depth_mm, deposits)
     if widths:
         pictures["widths"] = lambda: draw_widths(widths)
         parts = [(name, width) for name, of_peak in widths.items() for width in of_peak]
         document["widths"] = [{"histogram": name, **asdict(width)} for name, width in parts]
-    shown = of_peaks(fitted, combined, notes, widths)
+    shown = of_peaks(fitted, combined, notes, widths, calibration)
     result = VerbResult(kind="peaks", shown=shown, numbers=document, drawings=pictures)
     showing.answer(result, json_file, figure)
     if without:

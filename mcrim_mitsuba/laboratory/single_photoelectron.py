@@ -1,0 +1,369 @@
+"""Pedestal and gain of a digitiser's channels, from spectra of next to no light.
+
+The number n of photoelectrons of such flashes is Poisson's; in silicon, where a cell that fires may
+fire others, it is the generalised Poisson's (S. Vinogradov, NIM A 695 (2012) 247)
+
+    P(n) = mu (mu + n lam)^(n - 1) exp(-mu - n lam) / n!,   lam = -ln(1 - crosstalk),
+
+and n of them make a Gaussian at pedestal + n gain of the variance noise^2 + n spread^2 (E. H.
+Bellamy et al., NIM A 339 (1994) 468, without the discharges that they add to the pedestal). All
+numbers are those of the largest Poisson likelihood of the counts (S. Baker and R. D. Cousins, NIM
+221 (1984) 437), by MINUIT. Tubes without a pedestal in sight tell the gain by the excess of noise
+alone: mean M and variance V of a flash of equal light are gain mu and gain^2 mu F, F being the
+excess noise factor 1 + (spread / gain)^2, so that the gain is V / (M F).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import KW_ONLY, dataclass
+from functools import partial
+
+import numpy as np
+from scipy.special import chdtrc, gammaln, ndtr, xlogy
+
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.rounding import p_equals
+from mcrim_mitsuba.laboratory.columns import lowest_peak
+from mcrim_mitsuba.laboratory.peak_band import LEAST_P, fit_band
+from mcrim_mitsuba.laboratory.peak_shapes import GAUSSIAN
+
+#: Of a pedestal's fit: widths to both sides, for light lies above it, and fits until it stays.
+_BELOW, _ABOVE = 3.0, 1.7
+_FITS = 4
+_FEWEST_BINS = 7
+#: Bins of the fit in widths of the pedestal; the likelihood integrates over them.
+_BIN = 0.3
+#: Expected counts of the groups of bins that are judged by chi2.
+_FEWEST_EXPECTED = 8.0
+#: Ratio of spread and gain below which single photoelectrons are told apart, as in silicon.
+_RESOLVED = 0.25
+#: Where the fit begins: spreads over gain, and lam.
+_STARTS = ((0.08, 0.0), (0.08, 0.12), (0.35, 0.0), (0.35, 0.12))
+#: Most photoelectrons of an event beyond those that the highest channel holds.
+_BEYOND = 8
+_MOST_MEAN = 30.0
+_LARGEST_LAM = 0.7
+#: Relative error of a gain that is said to be poor.
+_POOR = 0.05
+
+
+@dataclass(frozen=True)
+class Pedestal:
+    """Where events without light lie, in channels."""
+
+    position: float
+    sigma: float
+    #: Standard deviation of the noise; None where the position is given as a number.
+    width: float | None = None
+
+
+@dataclass(frozen=True)
+class SinglePhotoelectrons:
+    """What a spectrum of a few photoelectrons says, in channels of its own range."""
+
+    #: Channels per photoelectron.
+    gain: float
+    gain_sigma: float
+    _: KW_ONLY
+    pedestal: Pedestal
+    #: Mean number of photoelectrons of an event, without those that crosstalk adds.
+    mean: float
+    mean_sigma: float
+    #: Probability that a cell that fires fires others at once; None of a tube, 0.
+    crosstalk: float | None = None
+    crosstalk_sigma: float | None = None
+    #: Standard deviation of a photoelectron's charge, in channels; None by excess noise.
+    spread: float | None = None
+    #: Mean square of the charge over the square of its mean, for each primary photoelectron.
+    excess_noise_factor: float
+    excess_noise_factor_sigma: float
+    events: float
+    #: Likelihood ratio of the counts, and the chance of a larger one; None by excess noise. Errors
+    #: are those of the counts; where that chance is below 1 %, larger by sqrt(chi2 / ndf).
+    chi2: float | None = None
+    ndf: int = 0
+    p_value: float | None = None
+    #: What the reader must know, a sentence each.
+    warnings: tuple[str, ...] = ()
+
+    def counts_below(self, channels: Array) -> Array:
+        """Expected counts below these places."""
+        assert self.spread is not None and self.pedestal.width is not None
+        lam = -math.log1p(-(self.crosstalk or 0.0))
+        numbers = math.ceil((channels.max() - self.pedestal.position) / self.gain) + _BEYOND
+        return _cumulative(
+            channels,
+            self.events,
+            self.mean,
+            self.pedestal.position,
+            self.pedestal.width,
+            self.gain,
+            self.spread,
+            lam,
+            numbers=max(numbers, _BEYOND),
+        )
+
+
+def fit_pedestal(channels: Array, counts: Array) -> Pedestal | None:
+    """The pedestal: the lowest peak, by a Gaussian about its top; None where none begins.
+
+    Channels ascend by the same step; counts are numbers of events, (bins,) float64 both.
+    """
+    if (lowest := lowest_peak(counts)) is None:
+        return None
+    step = channels[1] - channels[0]
+    top, half_width = lowest
+    position, width = float(channels[top]), max(half_width / 1.18, 0.5) * step
+    sigma = width
+    for _ in range(_FITS):
+        near = (channels > position - _BELOW * width) & (channels < position + _ABOVE * width)
+        if near.sum() < _FEWEST_BINS:
+            return _narrow_pedestal(channels, counts, position, max(width, step))
+        events = counts[near].sum()
+        start = np.array([events, position, width, 0.0, 0.0])
+        peak, _, clear = fit_band(channels[near], counts[near], GAUSSIAN, start)
+        if not clear:
+            return None
+        position, width, sigma = peak.centroid, peak.width, peak.centroid_sigma
+    return Pedestal(position, sigma, width)
+
+
+def _narrow_pedestal(channels: Array, counts: Array, position: float, width: float) -> Pedestal:
+    """A pedestal of a few bins, by its mean."""
+    near = np.abs(channels - position) <= _BELOW * width
+    events = counts[near].sum()
+    mean = float(np.average(channels[near], weights=counts[near]))
+    spread = math.sqrt(np.average((channels[near] - mean) ** 2, weights=counts[near]))
+    return Pedestal(mean, max(spread, 0.29 * width) / math.sqrt(events), max(spread, 1e-3))
+
+
+def chances(mean: float, lam: float, numbers: int) -> Array:
+    """(numbers,) probabilities of 0, 1, ... photoelectrons; Poisson's where lam is 0.
+
+    Below 0, which a fit may pass through, they end where mean + n lam would be negative.
+    """
+    n = np.arange(numbers)
+    rate = np.maximum(mean + n * lam, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.exp(math.log(mean) + xlogy(n - 1, rate) - rate - gammaln(n + 1.0))
+
+
+def _cumulative(
+    edges: Array,
+    events: float,
+    mean: float,
+    pedestal: float,
+    noise: float,
+    gain: float,
+    spread: float,
+    lam: float,
+    *,
+    numbers: int,
+) -> Array:
+    """Expected counts below the edges of bins."""
+    n = np.arange(numbers)
+    widths = np.sqrt(noise**2 + n * spread**2)
+    below = ndtr((edges[:, None] - pedestal - n * gain) / widths)
+    return np.asarray(events * (below @ chances(mean, lam, numbers)), float)
+
+
+def fit_single_photoelectrons(
+    channels: Array, counts: Array, *, crosstalk: bool | None = None
+) -> SinglePhotoelectrons:
+    """Fit pedestal, gain, spread and mean number, by the likelihood that this module names.
+
+    With `crosstalk` its probability is fitted too; None: where single photoelectrons are told
+    apart, as in silicon they are. Channels ascend by one step, (bins,) float64.
+
+    Raises InputError if no pedestal is in sight, or nothing above it.
+    """
+    pedestal = fit_pedestal(channels, counts)
+    if pedestal is None or pedestal.width is None:
+        raise InputError(
+            "no pedestal stands out at the low end, and without it no single photoelectrons",
+            "let some events have no light, or give excess_noise_factor and the pedestal of a run "
+            "in the dark: then mean and variance of one flash tell the gain, less surely",
+        )
+    step = channels[1] - channels[0]
+    filled = np.flatnonzero(counts)
+    first, last = filled[0], filled[-1] + 1
+    join = max(int(_BIN * pedestal.width / step), 1)
+    last += -(last - first) % join
+    seen = np.concatenate([counts, np.zeros(max(last - len(counts), 0))])[first:last]
+    seen = seen.reshape(-1, join).sum(axis=1)
+    edges = channels[0] + step * (np.arange(first, last + 1, join) - 0.5)
+    start, numbers = _start(channels, counts, pedestal)
+    fitted = _descend(edges, seen, start, numbers, crosstalk is True)
+    if crosstalk is None and fitted.values["spread"] < _RESOLVED * fitted.values["gain"]:
+        fitted = _descend(edges, seen, start, numbers, True)
+    return _result(fitted, edges, seen, numbers)
+
+
+def _start(channels: Array, counts: Array, pedestal: Pedestal) -> tuple[dict[str, float], int]:
+    """Where the fit begins, and how many numbers of photoelectrons count."""
+    assert pedestal.width is not None
+    events = float(counts.sum())
+    step = channels[1] - channels[0]
+    centres = (channels > pedestal.position - _BELOW * pedestal.width) & (
+        channels < pedestal.position
+    )
+    dark = min(2.0 * counts[centres].sum() / events, 0.99)
+    mean = -math.log(max(dark, 1e-4))
+    charge = float(np.average(channels, weights=counts)) - pedestal.position
+    gain = charge / mean
+    if not gain > pedestal.width or dark > 0.98:
+        raise InputError(
+            "next to nothing lies above the pedestal",
+            "let a twentieth of the events have light, better a half",
+        )
+    numbers = math.ceil((channels[counts > 0].max() - pedestal.position) / gain) + _BEYOND
+    return {
+        "events": events,
+        "mean": mean,
+        "pedestal": pedestal.position,
+        "noise": max(pedestal.width, 0.2 * step),
+        "gain": gain,
+    }, min(numbers, 200)
+
+
+def _descend(edges: Array, counts: Array, start: dict[str, float], numbers: int, crosstalk: bool):  # type: ignore[no-untyped-def]
+    """MINUIT at the best of the minima that several starts lead to."""
+    from iminuit import Minuit
+    from iminuit.cost import ExtendedBinnedNLL
+
+    # parameters by their names
+    def model(x, events, mean, pedestal, noise, gain, spread, lam):  # type: ignore[no-untyped-def]
+        return _cumulative(x, events, mean, pedestal, noise, gain, spread, lam, numbers=numbers)
+
+    cost = ExtendedBinnedNLL(counts, edges, model)
+    fits = []
+    for spread, lam in _STARTS if crosstalk else _STARTS[::2]:
+        gain = start["gain"] * (1.0 - lam)
+        fit = Minuit(cost, **{**start, "gain": gain, "spread": spread * gain, "lam": lam})
+        fit.limits["events", "noise", "gain"] = (1e-6, None)
+        fit.limits["spread"] = (0.0, None)
+        fit.limits["mean"] = (1e-3, _MOST_MEAN)
+        fit.limits["lam"] = (-_LARGEST_LAM, _LARGEST_LAM)
+        fit.fixed["lam"] = not crosstalk
+        fit.strategy = 0
+        fits.append(fit)
+    fits.sort(key=lambda fit: cost(*fit.values))
+    for fit in fits[:2]:
+        fit.migrad()
+    best = min(fits[:2], key=lambda fit: fit.fval)
+    best.strategy = 1
+    best.migrad()
+    best.hesse()
+    return best
+
+
+def _result(fit, edges: Array, counts: Array, numbers: int) -> SinglePhotoelectrons:  # type: ignore[no-untyped-def]
+    """What a fit says."""
+    value, covariance = dict(zip(fit.parameters, fit.values, strict=True)), fit.covariance
+    gain, lam, spread = value["gain"], value["lam"], value["spread"]
+    expected = np.diff(
+        _cumulative(edges, *(value[name] for name in fit.parameters), numbers=numbers)
+    )
+    chi2, groups = _judged(counts, expected)
+    ndf = groups - fit.nfit
+    p_value = float(chdtrc(ndf, chi2)) if ndf > 0 else None
+    bad = p_value is not None and p_value < LEAST_P
+    worse = math.sqrt(chi2 / ndf) if bad else 1.0
+    error = {name: worse * of for name, of in zip(fit.parameters, fit.errors, strict=True)}
+    relative = (spread / gain) ** 2
+    # d F / d gain, spread, lam
+    slopes = np.array(
+        [
+            -2.0 * relative / gain * (1.0 - lam),
+            2.0 * spread / gain**2 * (1.0 - lam),
+            1.0 / (1.0 - lam) ** 2 - relative,
+        ]
+    )
+    names = ("gain", "spread", "lam")
+    part = np.array(
+        [[0.0 if covariance is None else covariance[a, b] for b in names] for a in names]
+    )
+    warnings = []
+    if not fit.valid or covariance is None:
+        warnings.append("the fit of single photoelectrons did not settle: look at its picture")
+    if bad and p_value is not None:
+        warnings.append(
+            f"the fit of single photoelectrons is bad (chi2 = {chi2:.1f}, ndf = {ndf}, "
+            f"{p_equals(p_value)}): its errors are {worse:.2g} times those of the counts; is the "
+            "pedestal one Gaussian, and no threshold in the spectrum?"
+        )
+    if error["gain"] > _POOR * gain:
+        warnings.append(
+            f"the gain is known to {100 * error['gain'] / gain:.2g} % only: take more events, or "
+            "less light"
+        )
+    crosstalk = None if fit.fixed["lam"] else -math.expm1(-lam)
+    return SinglePhotoelectrons(
+        gain,
+        error["gain"],
+        pedestal=Pedestal(value["pedestal"], error["pedestal"], value["noise"]),
+        mean=value["mean"],
+        mean_sigma=error["mean"],
+        crosstalk=crosstalk,
+        crosstalk_sigma=None if crosstalk is None else error["lam"] * math.exp(-lam),
+        spread=spread,
+        excess_noise_factor=1.0 / (1.0 - lam) + relative * (1.0 - lam),
+        excess_noise_factor_sigma=worse * math.sqrt(max(slopes @ part @ slopes, 0.0)),
+        events=value["events"],
+        chi2=chi2,
+        ndf=ndf,
+        p_value=p_value,
+        warnings=tuple(warnings),
+    )
+
+
+def _judged(counts: Array, expected: Array) -> tuple[float, int]:
+    """The likelihood ratio of groups of bins with enough counts, and how many there are."""
+    # bins belong to the group that the counts below their middles say
+    group = ((np.cumsum(expected) - 0.5 * expected) / _FEWEST_EXPECTED).astype(int)
+    group = np.unique(group, return_inverse=True)[1]
+    n, mu = np.bincount(group, counts), np.maximum(np.bincount(group, expected), 1e-12)
+    return float(2.0 * np.sum(mu - n + xlogy(n, n / mu))), len(n)
+
+
+def gain_by_excess_noise(
+    channels: Array, counts: Array, pedestal: Pedestal, factor: float, factor_sigma: float
+) -> SinglePhotoelectrons:
+    """The gain by mean and variance of flashes of equal light, where the excess noise is known.
+
+    It takes all events for such flashes: what the light itself varies by is in the gain, too.
+
+    Raises InputError if they vary by no more than the pedestal does.
+    """
+    events = float(counts.sum())
+    average = partial(np.average, weights=counts)
+    charge = float(average(channels)) - pedestal.position
+    deviations = channels - pedestal.position - charge
+    variance = float(average(deviations**2))
+    noise = (pedestal.width or 0.0) ** 2
+    if not charge > 0 or not variance > noise:
+        problem = "the flashes are no larger or no wider than the pedestal"
+        raise InputError(problem, "give another pedestal, or flashes of more light")
+    fourth = float(average(deviations**4))
+    charge_sigma = math.hypot(math.sqrt(variance / events), pedestal.sigma)
+    variance_sigma = math.sqrt(max(fourth - variance**2, 0.0) / events)
+    gain = (variance - noise) / (charge * factor)
+    relative = math.hypot(
+        variance_sigma / (variance - noise), charge_sigma / charge, factor_sigma / factor
+    )
+    return SinglePhotoelectrons(
+        gain,
+        gain * relative,
+        pedestal=pedestal,
+        mean=charge / gain,
+        mean_sigma=charge / gain * math.hypot(relative, charge_sigma / charge),
+        excess_noise_factor=factor,
+        excess_noise_factor_sigma=factor_sigma,
+        events=events,
+        warnings=(
+            "the gain comes of mean and variance of one flash, which is less sure than single "
+            "photoelectrons: light that varies from flash to flash makes it too large",
+        ),
+    )
