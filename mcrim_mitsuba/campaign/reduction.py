@@ -16,10 +16,10 @@ from mcrim_mitsuba.core.files import read_bytes, sha256
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.laboratory.calibration import (
-    CalibratedHistogram,
     Calibration,
     calibrated,
     fit_histogram,
+    photons_of,
 )
 from mcrim_mitsuba.laboratory.digitiser import read_channels
 from mcrim_mitsuba.laboratory.histogram import Histogram, read_histogram
@@ -68,9 +68,7 @@ class Mounting:
     def value(self) -> tuple[float, float]:
         """Photons per event by its peak, and the standard error that no other mounting shares."""
         assert self.peak is not None
-        if isinstance(self.histogram, CalibratedHistogram):
-            return self.histogram.value(self.peak)
-        return self.peak.centroid, self.peak.centroid_sigma
+        return photons_of(self.histogram, self.peak)
 
     @property
     def file(self) -> Path:

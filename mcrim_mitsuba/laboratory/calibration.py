@@ -34,7 +34,8 @@ from mcrim_mitsuba.laboratory.single_photoelectron import (
 _FINE = 8.0
 #: Smoothing of the counts for their variances, in widths of the main peak.
 _SMOOTH = 0.3
-_BACKGROUND = "background"
+#: Variance of bins far from all counts.
+_LEAST = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,13 +147,6 @@ class CalibratedHistogram(Histogram):
         )
         return max(low, self.photons[0] - half), min(high, self.photons[-1] + half)
 
-    def value(self, peak: Peak) -> tuple[float, float]:
-        """A peak's photoelectrons and the standard error that no other reading shares."""
-        light, slope = self.calibration.light(peak.centroid)
-        own = 0.0 if self.calibration.pedestal is not None else self.pedestal.sigma
-        shift = own * self.calibration.per_channel
-        return light, slope * math.hypot(peak.centroid_sigma, shift)
-
 
 def fit_histogram(
     histogram: Histogram, *, shape: str = AUTO, window: tuple[float, float] | None = None
@@ -171,6 +165,16 @@ def fit_histogram(
         variances=histogram.variances,
         photoelectrons=True,
     )
+
+
+def photons_of(histogram: Histogram, peak: Peak) -> tuple[float, float]:
+    """Photons per event by a histogram's peak, and the standard error that it shares with none."""
+    if not isinstance(histogram, CalibratedHistogram):
+        return peak.centroid, peak.centroid_sigma
+    calibration = histogram.calibration
+    light, slope = calibration.light(peak.centroid)
+    own = 0.0 if calibration.pedestal is not None else histogram.pedestal.sigma
+    return light, slope * math.hypot(peak.centroid_sigma, own * calibration.per_channel)
 
 
 def calibrated(spectrum: ChannelSpectrum, calibration: Calibration) -> CalibratedHistogram:
@@ -240,11 +244,9 @@ def _variances(counts: Array, background: Array, ratio: float, width: float) -> 
     """Variances of counts less a background that was scaled by the ratio of live times."""
     from scipy.ndimage import gaussian_filter1d
 
-    own = counts + ratio * background
-    # a bin's least is what a background of one count in it would give
-    least = max(ratio, 1.0) * ratio if ratio > 0 else 1.0
-    smooth = gaussian_filter1d(own, max(_SMOOTH * width, 0.5), mode="nearest")
-    return np.asarray(np.maximum(smooth, min(least, 1.0)), float)
+    of_both = counts + ratio * background
+    smooth = gaussian_filter1d(of_both, max(_SMOOTH * width, 0.5), mode="nearest")
+    return np.asarray(np.maximum(smooth, _LEAST), float)
 
 
 def with_live_time(

@@ -100,13 +100,14 @@ def _of_instrument(path: Path) -> ChannelSpectrum:
         problem = f"{len(spectra)} spectra in one file"
         raise InputError(problem, "give each a file of its own", path=path)
     counts = np.array(spectra[0].gammaCounts(), float)
-    live_time = float(spectra[0].liveTime())
+    live_time_s, real_time_s = float(spectra[0].liveTime()), float(spectra[0].realTime())
+    said = live_time_s > 0 or real_time_s > 0
     return ChannelSpectrum(
         path,
         (str(spectra[0].title()),),
         np.arange(float(len(counts))),
         _whole(path, counts),
-        live_time_s=_checked_time(path, live_time),
+        live_time_s=_checked_time(path, live_time_s) if said else None,
     )
 
 

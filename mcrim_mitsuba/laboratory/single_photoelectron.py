@@ -24,6 +24,7 @@ from scipy.special import chdtrc, gammaln, ndtr, xlogy
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.laboratory.columns import lowest_peak
 from mcrim_mitsuba.laboratory.peak_band import LEAST_P, fit_band
@@ -32,6 +33,8 @@ from mcrim_mitsuba.laboratory.peak_shapes import GAUSSIAN
 #: Of a pedestal's fit: widths to both sides, for light lies above it, and fits until it stays.
 _BELOW, _ABOVE = 3.0, 1.7
 _FITS = 4
+#: Its height over what lies under it.
+_OVER = 2.0
 _FEWEST_BINS = 7
 #: Bins of the fit in widths of the pedestal; the likelihood integrates over them.
 _BIN = 0.3
@@ -41,9 +44,12 @@ _FEWEST_EXPECTED = 8.0
 _RESOLVED = 0.25
 #: Where the fit begins: spreads over gain, and lam.
 _STARTS = ((0.08, 0.0), (0.08, 0.12), (0.35, 0.0), (0.35, 0.12))
+#: chi2 / ndf above which further starts are tried.
+_FAIR = 2.0
 #: Most photoelectrons of an event beyond those that the highest channel holds.
 _BEYOND = 8
 _MOST_MEAN = 30.0
+_MOST_NUMBERS = 200
 _LARGEST_LAM = 0.7
 #: Relative error of a gain that is said to be poor.
 _POOR = 0.05
@@ -115,7 +121,7 @@ def fit_pedestal(channels: Array, counts: Array) -> Pedestal | None:
         return None
     step = channels[1] - channels[0]
     top, half_width = lowest
-    position, width = float(channels[top]), max(half_width / 1.18, 0.5) * step
+    position, width = float(channels[top]), max(2.0 * half_width / FWHM, 0.5) * step
     sigma = width
     for _ in range(_FITS):
         near = (channels > position - _BELOW * width) & (channels < position + _ABOVE * width)
@@ -123,8 +129,8 @@ def fit_pedestal(channels: Array, counts: Array) -> Pedestal | None:
             return _narrow_pedestal(channels, counts, position, max(width, step))
         events = counts[near].sum()
         start = np.array([events, position, width, 0.0, 0.0])
-        peak, _, clear = fit_band(channels[near], counts[near], GAUSSIAN, start)
-        if not clear:
+        peak, _, _ = fit_band(channels[near], counts[near], GAUSSIAN, start)
+        if not peak.counts_at(np.array(peak.centroid)) > _OVER * peak.background:
             return None
         position, width, sigma = peak.centroid, peak.width, peak.centroid_sigma
     return Pedestal(position, sigma, width)
@@ -179,53 +185,47 @@ def fit_single_photoelectrons(
 
     Raises InputError if no pedestal is in sight, or nothing above it.
     """
-    pedestal = fit_pedestal(channels, counts)
-    if pedestal is None or pedestal.width is None:
+    if (lowest := lowest_peak(counts)) is None:
         raise InputError(
             "no pedestal stands out at the low end, and without it no single photoelectrons",
             "let some events have no light, or give excess_noise_factor and the pedestal of a run "
             "in the dark: then mean and variance of one flash tell the gain, less surely",
         )
     step = channels[1] - channels[0]
+    top, half_width = lowest
+    noise = max(2.0 * half_width / FWHM, 0.5)  # in channels of the spectrum
     filled = np.flatnonzero(counts)
     first, last = filled[0], filled[-1] + 1
-    join = max(int(_BIN * pedestal.width / step), 1)
+    join = max(int(_BIN * noise), 1)
     last += -(last - first) % join
     seen = np.concatenate([counts, np.zeros(max(last - len(counts), 0))])[first:last]
     seen = seen.reshape(-1, join).sum(axis=1)
     edges = channels[0] + step * (np.arange(first, last + 1, join) - 0.5)
-    start, numbers = _start(channels, counts, pedestal)
+    start, numbers = _start(channels, counts, float(channels[top]), noise * step)
     fitted = _descend(edges, seen, start, numbers, crosstalk is True)
     if crosstalk is None and fitted.values["spread"] < _RESOLVED * fitted.values["gain"]:
         fitted = _descend(edges, seen, start, numbers, True)
     return _result(fitted, edges, seen, numbers)
 
 
-def _start(channels: Array, counts: Array, pedestal: Pedestal) -> tuple[dict[str, float], int]:
+def _start(
+    channels: Array, counts: Array, pedestal: float, noise: float
+) -> tuple[dict[str, float], int]:
     """Where the fit begins, and how many numbers of photoelectrons count."""
-    assert pedestal.width is not None
     events = float(counts.sum())
-    step = channels[1] - channels[0]
-    centres = (channels > pedestal.position - _BELOW * pedestal.width) & (
-        channels < pedestal.position
-    )
-    dark = min(2.0 * counts[centres].sum() / events, 0.99)
+    half = (channels > pedestal - _BELOW * noise) & (channels < pedestal)
+    at_top = float(counts[channels == pedestal].sum())
+    dark = min((2.0 * counts[half].sum() + at_top) / events, 0.999)
     mean = -math.log(max(dark, 1e-4))
-    charge = float(np.average(channels, weights=counts)) - pedestal.position
-    gain = charge / mean
-    if not gain > pedestal.width or dark > 0.98:
+    gain = (float(np.average(channels, weights=counts)) - pedestal) / mean
+    if not gain > noise or dark > 0.98:
         raise InputError(
             "next to nothing lies above the pedestal",
             "let a twentieth of the events have light, better a half",
         )
-    numbers = math.ceil((channels[counts > 0].max() - pedestal.position) / gain) + _BEYOND
-    return {
-        "events": events,
-        "mean": mean,
-        "pedestal": pedestal.position,
-        "noise": max(pedestal.width, 0.2 * step),
-        "gain": gain,
-    }, min(numbers, 200)
+    numbers = math.ceil((channels[counts > 0].max() - pedestal) / gain) + _BEYOND
+    start = {"events": events, "mean": mean, "pedestal": pedestal, "noise": noise, "gain": gain}
+    return start, min(numbers, _MOST_NUMBERS)
 
 
 def _descend(edges: Array, counts: Array, start: dict[str, float], numbers: int, crosstalk: bool):  # type: ignore[no-untyped-def]
@@ -250,9 +250,12 @@ def _descend(edges: Array, counts: Array, start: dict[str, float], numbers: int,
         fit.strategy = 0
         fits.append(fit)
     fits.sort(key=lambda fit: cost(*fit.values))
-    for fit in fits[:2]:
+    for tried, fit in enumerate(fits, start=1):
         fit.migrad()
-    best = min(fits[:2], key=lambda fit: fit.fval)
+        # two agree, or it is no other's neighbour
+        if tried > 1 and fit.valid and fit.fmin.reduced_chi2 < _FAIR:
+            break
+    best = min(fits[:tried], key=lambda fit: fit.fval)
     best.strategy = 1
     best.migrad()
     best.hesse()

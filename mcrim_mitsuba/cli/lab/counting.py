@@ -87,7 +87,7 @@ def peak(
     """
     from mcrim_mitsuba.campaign.calibration import calibration_of_file
     from mcrim_mitsuba.campaign.editor import calibration_json
-    from mcrim_mitsuba.laboratory.calibration import calibrated, fit_histogram
+    from mcrim_mitsuba.laboratory.calibration import calibrated, fit_histogram, photons_of
     from mcrim_mitsuba.laboratory.digitiser import read_channels
     from mcrim_mitsuba.laboratory.histogram import read_histogram
     from mcrim_mitsuba.output.laboratory_figures import (
@@ -112,7 +112,7 @@ def peak(
         names = list(files)
     calibration = calibration_file and calibration_of_file(calibration_file)
     if calibration:
-        histograms = [calibrated(read_channels(file), calibration) for file in files]
+        histograms: list = [calibrated(read_channels(file), calibration) for file in files]
     else:
         histograms = [read_histogram(file) for file in files]
     fitted = []
@@ -123,7 +123,8 @@ def peak(
     peaks = {histogram.name: histogram.peak for histogram in fitted if histogram.peak is not None}
     without = [histogram for histogram in fitted if histogram.peak is None]
     notes = [f"{name}: {words}" for name, peak in peaks.items() for words in peak.warnings]
-    combined, outliers, of_mean = _combined(peaks)
+    values = {name: photons_of(of, peak) for name, of, peak, _ in fitted if peak is not None}
+    combined, outliers, of_mean = _combined(values)
     notes += of_mean
     found_in = zip(files, (histogram.peak for histogram in fitted), strict=True)
     document = {
@@ -156,15 +157,14 @@ def peak(
 _OF_MEAN = "mean sigma scatter_sigma internal_sigma chi2 ndf p_value consistent outliers warnings"
 
 
-def _combined(peaks: dict):
+def _combined(values: dict[str, tuple[float, float]]):
     """The mean of several mountings, None of one; names of outliers among them, and notes."""
     from mcrim_mitsuba.laboratory.peak import combine
 
-    if len(peaks) < 2:
+    if len(values) < 2:
         return None, [], []
-    centroids = [peak.centroid for peak in peaks.values()]
-    combined = combine(centroids, [peak.centroid_sigma for peak in peaks.values()])
-    outliers = [list(peaks)[i] for i in combined.outliers]
+    combined = combine(*zip(*values.values(), strict=True))
+    outliers = [list(values)[i] for i in combined.outliers]
     notes = list(combined.warnings)
     if outliers:
         notes.append(f"outlier: {', '.join(outliers)}")
