@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -155,16 +156,19 @@ def fit_histogram(
 
     Raises InputError as `fit_peak` does.
     """
-    if not isinstance(histogram, CalibratedHistogram):
-        return fit_peak(histogram.photons, histogram.counts, shape=shape, window=window)
-    return fit_peak(
-        histogram.photons,
-        histogram.counts,
-        shape=shape,
-        window=histogram.window(window),
-        variances=histogram.variances,
-        photoelectrons=True,
-    )
+    if isinstance(histogram, CalibratedHistogram):
+        window = histogram.window(window)
+    return fit_near(histogram, window, shape)
+
+
+def fit_near(
+    histogram: Histogram, window: tuple[float, float] | None, shape: str = AUTO
+) -> Peak | None:
+    """The peak in a window of photons per event, or the main one; see `fit_peak`."""
+    options: dict[str, Any] = {}
+    if isinstance(histogram, CalibratedHistogram):
+        options = {"variances": histogram.variances, "photoelectrons": True}
+    return fit_peak(histogram.photons, histogram.counts, shape=shape, window=window, **options)
 
 
 def photons_of(histogram: Histogram, peak: Peak) -> tuple[float, float]:
@@ -177,8 +181,12 @@ def photons_of(histogram: Histogram, peak: Peak) -> tuple[float, float]:
     return light, slope * math.hypot(peak.centroid_sigma, own * calibration.per_channel)
 
 
-def calibrated(spectrum: ChannelSpectrum, calibration: Calibration) -> CalibratedHistogram:
+def calibrated(
+    spectrum: ChannelSpectrum, calibration: Calibration, width: float | None = None
+) -> CalibratedHistogram:
     """A spectrum of light in photoelectrons, its background subtracted.
+
+    Its bins are an eighth of a standard deviation of `width` photoelectrons; None: the main peak's.
 
     Raises InputError if it has no pedestal where it should, or does not go with the background.
     """
@@ -193,9 +201,11 @@ def calibrated(spectrum: ChannelSpectrum, calibration: Calibration) -> Calibrate
         background, times = _background(spectrum, calibration.background)
         counts = counts - background
     photons = (spectrum.channels - pedestal.position) * calibration.per_channel
-    place = main_peak(photons, counts, spectrum.counts if background is not None else None)
     step = photons[1] - photons[0]
-    join = 1 if place is None else max(int(place.width / (_FINE * step)), 1)
+    if width is None:
+        place = main_peak(photons, counts, spectrum.counts if background is not None else None)
+        width = place.width if place is not None else step
+    join = max(int(width / (_FINE * step)), 1)
     bins = len(photons) // join
 
     def joined(values: Array) -> Array:
@@ -203,9 +213,9 @@ def calibrated(spectrum: ChannelSpectrum, calibration: Calibration) -> Calibrate
 
     variances = None
     if background is not None and times is not None:
-        width = (place.width / step if place else 1.0) / join
         ratio = times[0] / times[1]
-        variances = _variances(joined(spectrum.counts), joined(background), ratio, width)
+        bins_wide = width / (step * join)
+        variances = _variances(joined(spectrum.counts), joined(background), ratio, bins_wide)
     return CalibratedHistogram(
         spectrum.path,
         spectrum.comments,

@@ -62,14 +62,9 @@ def main_peak(values: Array, counts: Array, variances: Array | None = None) -> F
 
     Bin centres ascend, all bins of one width; `variances`, (bins,), where they are not Poisson's.
     """
-    smooth, smoothing, tops, widths, prominences = _smoothed_peaks(counts)
-    # of counts that a Gaussian has smoothed
-    of_counts = smooth[tops] if variances is None else variances[tops]
-    noise = np.sqrt(np.maximum(of_counts, 1.0) / (2 * math.sqrt(math.pi) * smoothing))
-    clear = prominences > _STANDS_OUT * noise
-    if not clear.any():
+    smooth, tops, _, areas = _clear_peaks(counts, variances)
+    if not len(tops):
         return None
-    tops, areas = tops[clear], (prominences * widths)[clear]
     main = np.flatnonzero(areas >= _LARGE * areas.max())[-1]
     top, bin_width = tops[main], values[1] - values[0]
     height, half_width = _half_width(smooth, top)
@@ -89,6 +84,31 @@ def main_peak(values: Array, counts: Array, variances: Array | None = None) -> F
         low_level=float((smooth[low] - base) / height) if low > 0 else 0.0,
         high_level=float((smooth[high] - base) / height) if high > top else 0.0,
     )
+
+
+def clear_peaks(
+    values: Array, counts: Array, variances: Array | None
+) -> list[tuple[float, float, float]]:
+    """Place, standard deviation and roughly the events of all peaks that stand out, ascending.
+
+    As `main_peak` takes them; places and deviations are in the unit of the bins.
+    """
+    step = float(values[1] - values[0])
+    _, tops, widths, areas = _clear_peaks(counts, variances)
+    found = zip(values[tops].tolist(), (widths * step / FWHM).tolist(), areas.tolist(), strict=True)
+    return list(found)
+
+
+def _clear_peaks(
+    counts: Array, variances: Array | None
+) -> tuple[Array, NDArray[Any], Array, Array]:
+    """Smoothed counts, and of peaks that stand out of them places, widths (bins) and areas."""
+    smooth, smoothing, tops, widths, prominences = _smoothed_peaks(counts)
+    # of counts that a Gaussian has smoothed
+    of_counts = smooth[tops] if variances is None else variances[tops]
+    noise = np.sqrt(np.maximum(of_counts, 1.0) / (2 * math.sqrt(math.pi) * smoothing))
+    clear = prominences > _STANDS_OUT * noise
+    return smooth, tops[clear], widths[clear], (prominences * widths)[clear]
 
 
 def _smoothed_peaks(counts: Array) -> tuple[Array, float, NDArray[Any], Array, Array]:

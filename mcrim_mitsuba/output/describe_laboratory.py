@@ -28,6 +28,7 @@ from mcrim_mitsuba.output.description import (
 if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.reduction import Mounting, RawData
     from mcrim_mitsuba.laboratory.calibration import Calibration
+    from mcrim_mitsuba.laboratory.energy_scale import Line
     from mcrim_mitsuba.laboratory.error_budget import CommonValue, ErrorBudget, Uncertain
     from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency, RelativeMeasurement
     from mcrim_mitsuba.laboratory.peak import Repeated
@@ -238,6 +239,7 @@ def of_peaks(
     notes: Sequence[str],
     widths: Mapping[str, Sequence[WidthParts]],
     calibration: Calibration | None = None,
+    lines: Mapping[str, Sequence[Line]] | None = None,
 ) -> Description:
     """The main peak of every histogram, what several mountings make together, and the widths."""
     count = sum(histogram.peak is not None for histogram in fitted)
@@ -260,9 +262,44 @@ def of_peaks(
         calibration_pieces(calibration) if calibration else None,
         _peaks(title, ("histogram",), peaks, _PEAK_ALONE) if count else None,
         mean,
+        lines_pieces(lines) if lines else None,
         _widths(widths) if widths else None,
         notes=(*notes, *too_wide),
     )
+
+
+def lines_pieces(lines: Mapping[str, Sequence[Line]]) -> list[Piece]:
+    """Lines of known energies: photons per keV, and their widths by origin."""
+    from mcrim_mitsuba.laboratory.energy_scale import intrinsic_width
+
+    heads = "histogram keV photons /keV relative FWHM,% counting,% single,% rest,%".split()
+    rows, words = [], []
+    for name, of_file in lines.items():
+        for line in of_file:
+            width = line.width
+            parts = (width.total, width.counting, width.place, width.rest)
+            rows.append(
+                (
+                    name,
+                    f"{line.energy_keV:g}",
+                    measured(line.photons, line.photons_sigma),
+                    shown(line.per_keV, ".4g"),
+                    measured(line.relative, line.relative_sigma or None),
+                    *(measured(part.fwhm, part.sigma, 100.0) for part in parts),
+                )
+            )
+        if (fit := intrinsic_width(of_file)) is not None:
+            intrinsic, counted = fit
+            words.append(
+                f"{name}: the squares of the widths over 1 / N are a line: intrinsic FWHM "
+                f"{measured(intrinsic.fwhm, intrinsic.sigma, 100.0).text} %, {counted:.3g} / N"
+            )
+    return [
+        table("lines: light per energy, and widths by origin", heads, rows),
+        "relative: photons per keV over those of the highest energy, which are the crystal's "
+        "non-proportionality (and what the readout adds)",
+        *words,
+    ]
 
 
 #: Standard errors by which parts may exceed the whole without a word.

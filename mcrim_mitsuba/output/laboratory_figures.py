@@ -13,9 +13,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mcrim_mitsuba.campaign.reduction import Mounting, RawData
+from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.core.rounding import number, pdg
 from mcrim_mitsuba.laboratory.calibration import CalibratedHistogram, Gain
 from mcrim_mitsuba.laboratory.digitiser import ChannelSpectrum
+from mcrim_mitsuba.laboratory.energy_scale import Line, intrinsic_width
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.light_yield import SCALE, DetectorEfficiency
 from mcrim_mitsuba.laboratory.peak import Peak
@@ -455,6 +457,39 @@ def _fitted(label: str, mounting: Mounting) -> FittedHistogram:
     return FittedHistogram(
         name if mounting.use else f"{name} (not used)", mounting.histogram, mounting.peak, label
     )
+
+
+@style.styled
+def draw_lines(lines: Mapping[str, Sequence[Line]]) -> style.Drawing:
+    """Light per energy over that of the highest line, and widths against the light."""
+    figure = style.canvas(9.6, 4.4)
+    left, right = figure.subplots(1, 2)
+    rows: list[Sequence[object]] = []
+    for (name, of_file), colour in zip(lines.items(), itertools.cycle(_COLOURS), strict=False):
+        look: dict[str, Any] = {"color": colour, "fmt": "o", "label": style.shortened(name, 26)}
+        counts = np.array([line.peak.centroid for line in of_file])
+        total = [line.width.total for line in of_file]
+        fwhm, sigma = np.array([(width.fwhm, width.sigma) for width in total]).T
+        relative, errors = np.array([(line.relative, line.relative_sigma) for line in of_file]).T
+        energies = [line.energy_keV for line in of_file]
+        left.errorbar(energies, relative, errors, **look)
+        right.errorbar(counts**-0.5, 100 * fwhm, 100 * sigma, **look)
+        if (fit := intrinsic_width(of_file)) is not None:
+            fine = np.linspace(0.0, 1.1 * float((counts**-0.5).max()), 100)
+            squares = fit[0].fwhm ** 2 + (FWHM * fine) ** 2 * fit[1]
+            words = f"intrinsic {100 * fit[0].fwhm:.2g} %, {fit[1]:.3g} / N"
+            right.plot(fine, 100 * np.sqrt(np.maximum(squares, 0)), color=colour, label=words)
+        cells = (energies, counts, relative, errors, fwhm, sigma)
+        rows += [(name, *row) for row in zip(*cells, strict=True)]
+    left.set(xscale="log", xlabel="energy, keV", ylabel="photons per keV, highest line 1")
+    right.set(xlabel="1 / √N of N photons", ylabel="full width at half maximum, %")
+    right.set_xlim(left=0.0)
+    right.set_ylim(bottom=0.0)
+    for axes in (left, right):
+        style.open_axes(axes)
+        style.legend(axes)
+    columns = "histogram energy_keV photons relative relative_sigma fwhm fwhm_sigma".split()
+    return style.Drawing(figure, columns, rows)
 
 
 # Widths of peaks by their origins: a bar for every peak and every place where gammas stop.

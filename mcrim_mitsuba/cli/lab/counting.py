@@ -39,6 +39,18 @@ class _Window(options.Written):
         return low, high
 
 
+class _Energies(options.Written):
+    """``59.5,661.7`` in keV."""
+
+    name = "keV,keV"
+
+    def read(self, what: str, text: str) -> tuple[float, ...]:
+        energies = tuple(parse_number(what, each) for each in text.split(","))
+        if min(energies) <= 0 or len(set(energies)) < len(energies):
+            self.fail(f"{text!r} are no energies of lines; give each once, such as 59.5,661.7")
+        return energies
+
+
 @click.command(short_help="Centroid of the main peak of histograms, photons per event.")
 @click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
 @option(
@@ -60,6 +72,12 @@ class _Window(options.Written):
     "calibration_file",
     metavar="FILE.toml",
 )
+@option(
+    "--lines",
+    _Energies(),
+    "Energies of lines that every FILE has: photons per keV, and the resolution; drawn as "
+    "NAME_lines.",
+)
 @options.file(
     "--map",
     "Map of eta by `mcrim simulate --map`: split the peaks' widths into counted photoelectrons, "
@@ -72,7 +90,7 @@ class _Window(options.Written):
 @options.figure("the histograms with their fits")
 @options.json_output
 def peak(
-    files, shape, window, calibration_file, map_file, depth_mm, deposits, figure, json_file
+    files, shape, window, calibration_file, lines, map_file, depth_mm, deposits, figure, json_file
 ) -> None:
     """Centroid of the main peak in each histogram, in photons per event.
 
@@ -89,11 +107,13 @@ def peak(
     from mcrim_mitsuba.campaign.editor import calibration_json
     from mcrim_mitsuba.laboratory.calibration import calibrated, fit_histogram, photons_of
     from mcrim_mitsuba.laboratory.digitiser import read_channels
+    from mcrim_mitsuba.laboratory.energy_scale import lines_of
     from mcrim_mitsuba.laboratory.histogram import read_histogram
     from mcrim_mitsuba.output.laboratory_figures import (
         FittedHistogram,
         draw_calibration,
         draw_histograms,
+        draw_lines,
         draw_widths,
     )
 
@@ -104,7 +124,7 @@ def peak(
     if deposits and not map_file:
         raise InputError("--deposits says where gammas stop on a map", "give --map FILE.nc too")
     inputs = [*files, *filter(None, (calibration_file, map_file, deposits))]
-    further = {"calibration": calibration_file, "widths": map_file}
+    further = {"calibration": calibration_file, "lines": lines, "widths": map_file}
     showing.refuse_places(json_file, inputs, figure, *(name for name, of in further.items() if of))
     _refuse_duplicates(files)
     names = [Path(file).name for file in files]
@@ -144,7 +164,15 @@ def peak(
         pictures["widths"] = lambda: draw_widths(widths)
         parts = [(name, width) for name, of_peak in widths.items() for width in of_peak]
         document["widths"] = [{"histogram": name, **asdict(width)} for name, width in parts]
-    shown = of_peaks(fitted, combined, notes, widths, calibration)
+    found = {of.name: lines_of(of.histogram, lines) for of in fitted} if lines else {}
+    if found:
+        document["lines"] = [
+            {"histogram": name, **attributes(line, _OF_LINE), "peak": _peak_json(line.peak)}
+            for name, of_file in found.items()
+            for line in of_file
+        ]
+        pictures["lines"] = lambda: draw_lines(found)
+    shown = of_peaks(fitted, combined, notes, widths, calibration, found)
     result = VerbResult(kind="peaks", shown=shown, numbers=document, drawings=pictures)
     showing.answer(result, json_file, figure)
     if without:
@@ -154,6 +182,7 @@ def peak(
         raise InputError("no peak stands out", mend, path=without[0].histogram.path)
 
 
+_OF_LINE = "energy_keV photons photons_sigma per_keV relative relative_sigma width"
 _OF_MEAN = "mean sigma scatter_sigma internal_sigma chi2 ndf p_value consistent outliers warnings"
 
 
