@@ -10,7 +10,7 @@ from mcrim_mitsuba.campaign.entries import number_within
 from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.core.errors import InputError, placed, said_by
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
-from mcrim_mitsuba.laboratory.calibration import Calibration, Gain, with_live_time
+from mcrim_mitsuba.laboratory.calibration import ChannelCalibration, Gain, with_live_time
 from mcrim_mitsuba.laboratory.digitiser import ChannelSpectrum, read_channels
 from mcrim_mitsuba.laboratory.single_photoelectron import (
     Pedestal,
@@ -23,7 +23,7 @@ _GAIN = "single_photoelectron"
 _NOISE = "excess_noise_factor"
 
 
-def calibration_of_file(path: str | Path) -> Calibration:
+def calibration_of_file(path: str | Path) -> ChannelCalibration:
     """The ``[calibration]`` of a campaign, or of a file that holds nothing else.
 
     Raises InputError, with the line, if it is not there or cannot be used.
@@ -35,7 +35,7 @@ def calibration_of_file(path: str | Path) -> Calibration:
     return calibration
 
 
-def read_calibration(document: TomlDocument) -> Calibration | None:
+def read_calibration(document: TomlDocument) -> ChannelCalibration | None:
     """What turns channels into photoelectrons; None where the document says nothing of it.
 
     Raises InputError, with the line, if an entry or a spectrum that it names cannot be used.
@@ -63,7 +63,7 @@ def read_calibration(document: TomlDocument) -> Calibration | None:
         background = read_channels(file_in(table, "background", table["background"]))
         time = number("background_live_time_s")
         background = with_live_time(background, time, times[1])
-    return Calibration(
+    return ChannelCalibration(
         gain=_gain(table, pedestal),
         pedestal=pedestal,
         pedestal_run=run,

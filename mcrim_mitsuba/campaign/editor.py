@@ -30,7 +30,7 @@ from mcrim_mitsuba.core.files import attributes, beside, read_text, write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.effects.effect import OLD_NAMES
-from mcrim_mitsuba.laboratory.calibration import Calibration
+from mcrim_mitsuba.laboratory.calibration import ChannelCalibration
 from mcrim_mitsuba.laboratory.light_yield import SCALE as TUBE_SCALE
 from mcrim_mitsuba.optics.absorption import Absorption
 
@@ -368,7 +368,7 @@ def to_json(raw: RawData) -> dict[str, Any]:
     }
 
 
-def calibration_json(calibration: Calibration) -> dict[str, Any]:
+def calibration_json(calibration: ChannelCalibration) -> dict[str, Any]:
     """What turns channels into photoelectrons, and what the spectra for it said."""
     of_fit = (
         "pedestal mean mean_sigma crosstalk crosstalk_sigma spread excess_noise_factor "

@@ -16,13 +16,13 @@ from mcrim_mitsuba.core.files import read_bytes, sha256
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.laboratory.calibration import (
-    Calibration,
-    calibrated,
+    ChannelCalibration,
     fit_histogram,
     photons_of,
+    read_photons,
+    window_of,
 )
-from mcrim_mitsuba.laboratory.digitiser import read_channels
-from mcrim_mitsuba.laboratory.histogram import Histogram, read_histogram
+from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency
 from mcrim_mitsuba.laboratory.peak import AUTO, Peak, Repeated, combine
 from mcrim_mitsuba.optics.absorption import Absorption
@@ -112,7 +112,7 @@ class RawData:
     numbers: dict[str, float]
     files: tuple[RawFile, ...]
     #: Of a digitiser's channels; None where histograms are of photoelectrons.
-    calibration: Calibration | None = None
+    calibration: ChannelCalibration | None = None
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -139,7 +139,7 @@ class RawData:
 
 
 def _reduce_table(
-    table: Measurements, shape: str, calibration: Calibration | None
+    table: Measurements, shape: str, calibration: ChannelCalibration | None
 ) -> tuple[list[Reading], dict[str, ReducedReading]]:
     """All readings of a measurement file, and by label what those from histograms were made of."""
     mountings = {
@@ -192,16 +192,16 @@ def _notes_on(reduced: ReducedReading) -> Iterator[str]:
 
 
 def _mounting(
-    table: Measurements, row: Reading, file: Path, shape: str, calibration: Calibration | None
+    table: Measurements,
+    row: Reading,
+    file: Path,
+    shape: str,
+    calibration: ChannelCalibration | None,
 ) -> Mounting:
     """A histogram with the peak that was fitted in it."""
-    histogram = (
-        read_histogram(file)
-        if calibration is None
-        else calibrated(read_channels(file), calibration)
-    )
+    histogram = read_photons(file, calibration)
     try:
-        peak = fit_histogram(histogram, shape=shape, window=row.window)
+        peak = fit_histogram(histogram, shape=shape, window=window_of(histogram, row.window))
     except InputError as error:
         if row.window is None:
             raise InputError(error.problem, error.mend, path=file) from None

@@ -14,15 +14,16 @@ neighbours, for their own roots would give bins that fell low too much weight.
 from __future__ import annotations
 
 import math
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.laboratory.digitiser import ChannelSpectrum
-from mcrim_mitsuba.laboratory.histogram import Histogram, main_peak
+from mcrim_mitsuba.laboratory.digitiser import ChannelSpectrum, read_channels
+from mcrim_mitsuba.laboratory.histogram import Histogram, main_peak, read_histogram
 from mcrim_mitsuba.laboratory.peak import AUTO, fit_peak
 from mcrim_mitsuba.laboratory.peak_band import Peak
 from mcrim_mitsuba.laboratory.single_photoelectron import (
@@ -51,7 +52,7 @@ class Gain:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Calibration:
+class ChannelCalibration:
     """What turns channels into photoelectrons."""
 
     gain: Gain
@@ -128,47 +129,49 @@ class CalibratedHistogram(Histogram):
 
     _: KW_ONLY
     spectrum: ChannelSpectrum
-    calibration: Calibration
+    calibration: ChannelCalibration
     pedestal: Pedestal
     #: (bins,) of `counts`, from which a background was subtracted; None: of Poisson's law.
     variances: Array | None
     #: (bins,) The background that was subtracted; None without one.
     background: Array | None
-    #: Live times of spectrum and background, s; None where they were not needed.
-    live_times_s: tuple[float, float] | None = field(default=None)
-
-    def window(self, channels: tuple[float, float] | None) -> tuple[float, float] | None:
-        """The part of `photons` that these channels are."""
-        if channels is None:
-            return None
-        half = 0.5 * (self.photons[1] - self.photons[0])
-        low, high = (
-            (channel - self.pedestal.position) * self.calibration.per_channel
-            for channel in channels
-        )
-        return max(low, self.photons[0] - half), min(high, self.photons[-1] + half)
 
 
 def fit_histogram(
     histogram: Histogram, *, shape: str = AUTO, window: tuple[float, float] | None = None
 ) -> Peak | None:
-    """The main peak of a histogram, calibrated or not; a window is in the unit of its file.
+    """The main peak of a histogram, or the one in a window, of photons per event; see `fit_peak`.
 
-    Raises InputError as `fit_peak` does.
+    Raises InputError as that does.
     """
-    if isinstance(histogram, CalibratedHistogram):
-        window = histogram.window(window)
-    return fit_near(histogram, window, shape)
-
-
-def fit_near(
-    histogram: Histogram, window: tuple[float, float] | None, shape: str = AUTO
-) -> Peak | None:
-    """The peak in a window of photons per event, or the main one; see `fit_peak`."""
     options: dict[str, Any] = {}
     if isinstance(histogram, CalibratedHistogram):
         options = {"variances": histogram.variances, "photoelectrons": True}
     return fit_peak(histogram.photons, histogram.counts, shape=shape, window=window, **options)
+
+
+def window_of(
+    histogram: Histogram, window: tuple[float, float] | None
+) -> tuple[float, float] | None:
+    """A window in the unit of a histogram's file, as the part of its photons per event."""
+    if window is None or not isinstance(histogram, CalibratedHistogram):
+        return window
+    half = 0.5 * (histogram.photons[1] - histogram.photons[0])
+    low, high = (
+        (channel - histogram.pedestal.position) * histogram.calibration.per_channel
+        for channel in window
+    )
+    return max(low, histogram.photons[0] - half), min(high, histogram.photons[-1] + half)
+
+
+def read_photons(path: str | Path, calibration: ChannelCalibration | None) -> Histogram:
+    """A histogram of photons per event, or a digitiser's spectrum, calibrated.
+
+    Raises InputError as `read_histogram` and `read_channels` do.
+    """
+    if calibration is None:
+        return read_histogram(path)
+    return calibrated(read_channels(path), calibration)
 
 
 def photons_of(histogram: Histogram, peak: Peak) -> tuple[float, float]:
@@ -182,7 +185,7 @@ def photons_of(histogram: Histogram, peak: Peak) -> tuple[float, float]:
 
 
 def calibrated(
-    spectrum: ChannelSpectrum, calibration: Calibration, width: float | None = None
+    spectrum: ChannelSpectrum, calibration: ChannelCalibration, width: float | None = None
 ) -> CalibratedHistogram:
     """A spectrum of light in photoelectrons, its background subtracted.
 
@@ -191,14 +194,11 @@ def calibrated(
     Raises InputError if it has no pedestal where it should, or does not go with the background.
     """
     spectrum = with_live_time(spectrum, calibration.live_time_s, calibration.dead_time_us)
-    pedestal = calibration.pedestal or fit_pedestal(spectrum.channels, spectrum.counts)
-    if pedestal is None:
-        problem = "no pedestal stands out at the low end"
-        mend = 'give it under [calibration]: pedestal = 120, or a run: pedestal = "dark.csv"'
-        raise InputError(problem, mend, path=spectrum.path)
-    counts, background, times = spectrum.counts, None, None
+    pedestal = calibration.pedestal or _own_pedestal(spectrum)
+    counts, background, ratio = spectrum.counts, None, 0.0
     if calibration.background is not None:
-        background, times = _background(spectrum, calibration.background)
+        ratio = _live_times(spectrum, calibration.background)
+        background = ratio * calibration.background.counts
         counts = counts - background
     photons = (spectrum.channels - pedestal.position) * calibration.per_channel
     step = photons[1] - photons[0]
@@ -212,8 +212,7 @@ def calibrated(
         return np.asarray(values[: bins * join].reshape(bins, join).sum(axis=1), float)
 
     variances = None
-    if background is not None and times is not None:
-        ratio = times[0] / times[1]
+    if background is not None:
         bins_wide = width / (step * join)
         variances = _variances(joined(spectrum.counts), joined(background), ratio, bins_wide)
     return CalibratedHistogram(
@@ -226,28 +225,35 @@ def calibrated(
         pedestal=pedestal,
         variances=variances,
         background=None if background is None else joined(background),
-        live_times_s=times,
     )
 
 
-def _background(
-    spectrum: ChannelSpectrum, background: ChannelSpectrum
-) -> tuple[Array, tuple[float, float]]:
-    """What a background has in the live time of a spectrum, and both live times."""
+def _own_pedestal(spectrum: ChannelSpectrum) -> Pedestal:
+    """The pedestal in a spectrum of light, below its main peak."""
+    pedestal = fit_pedestal(spectrum.channels, spectrum.counts)
+    main = main_peak(spectrum.channels, spectrum.counts)
+    if pedestal is None or main is None or main.centroid - main.width < pedestal.position:
+        problem = "no pedestal stands out at the low end"
+        mend = 'give it under [calibration]: pedestal = 120, or a run: pedestal = "dark.csv"'
+        raise InputError(problem, mend, path=spectrum.path)
+    return pedestal
+
+
+def _live_times(spectrum: ChannelSpectrum, background: ChannelSpectrum) -> float:
+    """Live time of a spectrum over that of its background, whose channels must be the same."""
     if not np.array_equal(background.channels, spectrum.channels):
-        ends = (f"{c[0]:g} to {c[-1]:g}" for c in (background.channels, spectrum.channels))
-        problem = f"its channels are not those of the background: {' and '.join(reversed([*ends]))}"
+        ends = (f"{c[0]:g} to {c[-1]:g}" for c in (spectrum.channels, background.channels))
+        problem = f"its channels are not those of the background: {' and '.join(ends)}"
         raise InputError(problem, "take both with the same settings", path=spectrum.path)
-    times = []
-    for each in (spectrum, background):
-        if each.live_time_s is None:
+    times = spectrum.live_time_s, background.live_time_s
+    for each, time in zip((spectrum, background), times, strict=True):
+        if time is None:
             raise InputError(
                 "the file does not say its live time, by which the background is subtracted",
                 "give live_time_s (of the spectra) and background_live_time_s under [calibration]",
                 path=each.path,
             )
-        times.append(each.live_time_s)
-    return background.counts * (times[0] / times[1]), (times[0], times[1])
+    return (times[0] or 0.0) / (times[1] or 1.0)
 
 
 def _variances(counts: Array, background: Array, ratio: float, width: float) -> Array:

@@ -7,6 +7,7 @@ read by SpecUtils (Sandia National Laboratories), histograms of ROOT by uproot: 
 
 from __future__ import annotations
 
+import importlib
 import re
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
@@ -81,14 +82,19 @@ def _checked_time(path: Path, live_time_s: float) -> float:
     return live_time_s
 
 
+def _reader(name: str, path: Path) -> Any:
+    """The module that reads a file, which is there and not too large."""
+    read_bytes(path, _LIMIT_MB)
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        problem = f"{path.suffix} files are read by {name}, which is not installed"
+        raise InputError(problem, f"{_INSTALL}, {_EXPORT}", path=path) from None
+
+
 def _of_instrument(path: Path) -> ChannelSpectrum:
     """A spectrum by SpecUtils."""
-    try:
-        import SpecUtils
-    except ImportError:
-        problem = f"{path.suffix} files are read by SpecUtils, which is not installed"
-        raise InputError(problem, f"{_INSTALL}, {_EXPORT}", path=path) from None
-    read_bytes(path, _LIMIT_MB)  # refused as any file that is missing or too large
+    SpecUtils = _reader("SpecUtils", path)  # noqa: N806
     file = SpecUtils.SpecFile()
     try:
         file.loadFile(str(path), SpecUtils.ParserType.Auto)
@@ -113,12 +119,7 @@ def _of_instrument(path: Path) -> ChannelSpectrum:
 
 def _of_root(path: Path) -> ChannelSpectrum:
     """The one histogram (TH1) of a ROOT file, its bins as they are numbered there."""
-    try:
-        import uproot
-    except ImportError:
-        problem = "ROOT files are read by uproot, which is not installed"
-        raise InputError(problem, f"{_INSTALL}, {_EXPORT}", path=path) from None
-    read_bytes(path, _LIMIT_MB)
+    uproot = _reader("uproot", path)
     histogram: Any = None
     try:
         with uproot.open(path) as file:

@@ -21,7 +21,7 @@ from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.laboratory.calibration import (
     CalibratedHistogram,
     calibrated,
-    fit_near,
+    fit_histogram,
     photons_of,
 )
 from mcrim_mitsuba.laboratory.histogram import Histogram, clear_peaks
@@ -29,10 +29,10 @@ from mcrim_mitsuba.laboratory.peak_band import Peak, Width, WidthParts, width_pa
 
 #: Peaks among which lines are searched, by their events.
 _MOST_PEAKS = 12
-#: Spread of light per keV, as a part, that lines of one spectrum have at most, and usually.
-_MOST_SPREAD, _USUAL_SPREAD = 0.30, 0.10
+#: Spread of light per keV, as a part, that lines of one spectrum have at most.
+_MOST_SPREAD = 0.30
 #: Of a fit's window, in widths below and above.
-_WINDOW = 1.8, 2.2
+_WINDOW = (1.8, 2.2)
 #: Lines that tell the intrinsic width beside the counting, with something left to check.
 _FEWEST = 3
 _SINGLE = "spread of single photoelectrons"
@@ -62,8 +62,7 @@ class Line:
 def lines_of(histogram: Histogram, energies_keV: Sequence[float]) -> tuple[Line, ...]:
     """Lines of these energies, ascending, in one histogram of photons per event.
 
-    Of the peaks that stand out those are taken whose photons per keV agree; of several such sets
-    the one of most events.
+    Of the peaks that stand out those are taken whose photons per keV agree best.
 
     Raises InputError, of the file, if there are none, or one cannot be fitted.
     """
@@ -76,12 +75,9 @@ def lines_of(histogram: Histogram, energies_keV: Sequence[float]) -> tuple[Line,
     sets = []
     for chosen in itertools.combinations(peaks, len(energies)):
         logs = np.log([place for place, _, _ in chosen]) - np.log(energies)
-        sets.append((float(np.std(logs)), -sum(events for _, _, events in chosen), chosen))
-    usual = [(events, chosen) for spread, events, chosen in sets if spread < _USUAL_SPREAD]
-    spread, _, found = min(sets, default=(math.inf, 0.0, ()))
-    if usual:
-        _, found = min(usual)
-    elif spread > _MOST_SPREAD:
+        sets.append((float(np.std(logs)), chosen))
+    spread, found = min(sets, default=(math.inf, ()))
+    if spread > _MOST_SPREAD:
         listed = ", ".join(f"{energy:g}" for energy in energies)
         problem = f"{len(peaks)} peaks stand out, but none at the ratios of {listed} keV"
         raise InputError(problem, "name the lines that are in sight", path=histogram.path)
@@ -114,7 +110,7 @@ def _fitted(histogram: Histogram, place: float, width: float) -> Peak:
     """The peak about a place."""
     below, above = _WINDOW
     histogram = _with_bins_for(histogram, width)
-    peak = fit_near(histogram, (place - below * width, place + above * width))
+    peak = fit_histogram(histogram, window=(place - below * width, place + above * width))
     if peak is None:
         problem = f"the peak at {place:.4g} photons cannot be fitted"
         raise InputError(problem, "leave its line out, or measure longer", path=histogram.path)

@@ -16,6 +16,7 @@ excess noise factor 1 + (spread / gain)^2, so that the gain is V / (M F).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
 
@@ -30,11 +31,16 @@ from mcrim_mitsuba.laboratory.columns import lowest_peak
 from mcrim_mitsuba.laboratory.peak_band import LEAST_P, fit_band
 from mcrim_mitsuba.laboratory.peak_shapes import GAUSSIAN
 
+_PARAMETERS = ("events", "mean", "pedestal", "noise", "gain", "spread", "lam")
 #: Of a pedestal's fit: widths to both sides, for light lies above it, and fits until it stays.
-_BELOW, _ABOVE = 3.0, 1.7
+_BELOW = 3.0
+_ABOVE = 1.7
 _FITS = 4
-#: Its height over what lies under it.
+#: Its height over what lies under it; the part of its events that may lie below it, so many widths
+#: away.
 _OVER = 2.0
+_LITTLE = 0.02
+_CLEAR = 5.0
 _FEWEST_BINS = 7
 #: Bins of the fit in widths of the pedestal; the likelihood integrates over them.
 _BIN = 0.3
@@ -99,17 +105,9 @@ class SinglePhotoelectrons:
         assert self.spread is not None and self.pedestal.width is not None
         lam = -math.log1p(-(self.crosstalk or 0.0))
         numbers = math.ceil((channels.max() - self.pedestal.position) / self.gain) + _BEYOND
-        return _cumulative(
-            channels,
-            self.events,
-            self.mean,
-            self.pedestal.position,
-            self.pedestal.width,
-            self.gain,
-            self.spread,
-            lam,
-            numbers=max(numbers, _BEYOND),
-        )
+        pedestal, noise = self.pedestal.position, self.pedestal.width
+        values = (self.events, self.mean, pedestal, noise, self.gain, self.spread, lam)
+        return _cumulative(channels, values, max(numbers, _BEYOND))
 
 
 def fit_pedestal(channels: Array, counts: Array) -> Pedestal | None:
@@ -133,6 +131,10 @@ def fit_pedestal(channels: Array, counts: Array) -> Pedestal | None:
         if not peak.counts_at(np.array(peak.centroid)) > _OVER * peak.background:
             return None
         position, width, sigma = peak.centroid, peak.width, peak.centroid_sigma
+    # a continuum goes on below a peak of its own
+    below = counts[channels < position - _CLEAR * width].sum()
+    if below > _LITTLE * counts[np.abs(channels - position) < _CLEAR * width].sum():
+        return None
     return Pedestal(position, sigma, width)
 
 
@@ -156,19 +158,9 @@ def chances(mean: float, lam: float, numbers: int) -> Array:
         return np.exp(math.log(mean) + xlogy(n - 1, rate) - rate - gammaln(n + 1.0))
 
 
-def _cumulative(
-    edges: Array,
-    events: float,
-    mean: float,
-    pedestal: float,
-    noise: float,
-    gain: float,
-    spread: float,
-    lam: float,
-    *,
-    numbers: int,
-) -> Array:
-    """Expected counts below the edges of bins."""
+def _cumulative(edges: Array, values: Sequence[float], numbers: int) -> Array:
+    """Expected counts below the edges of bins; values of the parameters as `_PARAMETERS` names."""
+    events, mean, pedestal, noise, gain, spread, lam = values
     n = np.arange(numbers)
     widths = np.sqrt(noise**2 + n * spread**2)
     below = ndtr((edges[:, None] - pedestal - n * gain) / widths)
@@ -233,11 +225,10 @@ def _descend(edges: Array, counts: Array, start: dict[str, float], numbers: int,
     from iminuit import Minuit
     from iminuit.cost import ExtendedBinnedNLL
 
-    # parameters by their names
-    def model(x, events, mean, pedestal, noise, gain, spread, lam):  # type: ignore[no-untyped-def]
-        return _cumulative(x, events, mean, pedestal, noise, gain, spread, lam, numbers=numbers)
+    def model(x: Array, *values: float) -> Array:
+        return _cumulative(x, values, numbers)
 
-    cost = ExtendedBinnedNLL(counts, edges, model)
+    cost = ExtendedBinnedNLL(counts, edges, model, name=_PARAMETERS)
     fits = []
     for spread, lam in _STARTS if crosstalk else _STARTS[::2]:
         gain = start["gain"] * (1.0 - lam)
@@ -266,9 +257,7 @@ def _result(fit, edges: Array, counts: Array, numbers: int) -> SinglePhotoelectr
     """What a fit says."""
     value, covariance = dict(zip(fit.parameters, fit.values, strict=True)), fit.covariance
     gain, lam, spread = value["gain"], value["lam"], value["spread"]
-    expected = np.diff(
-        _cumulative(edges, *(value[name] for name in fit.parameters), numbers=numbers)
-    )
+    expected = np.diff(_cumulative(edges, tuple(fit.values), numbers))
     chi2, groups = _judged(counts, expected)
     ndf = groups - fit.nfit
     p_value = float(chdtrc(ndf, chi2)) if ndf > 0 else None

@@ -27,7 +27,7 @@ from mcrim_mitsuba.output.description import (
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.reduction import Mounting, RawData
-    from mcrim_mitsuba.laboratory.calibration import Calibration
+    from mcrim_mitsuba.laboratory.calibration import ChannelCalibration
     from mcrim_mitsuba.laboratory.energy_scale import Line
     from mcrim_mitsuba.laboratory.error_budget import CommonValue, ErrorBudget, Uncertain
     from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency, RelativeMeasurement
@@ -83,7 +83,7 @@ def histograms_pieces(raw: RawData) -> list[Piece]:
     return [_peaks("peaks of the histograms", heads, peaks), *_means("readings", "reading", means)]
 
 
-def calibration_pieces(calibration: Calibration) -> list[Piece]:
+def calibration_pieces(calibration: ChannelCalibration) -> list[Piece]:
     """What turns channels into photoelectrons: gain, pedestal, ratio of the ranges, errors."""
     gain, fit, pedestal = calibration.gain, calibration.gain.fit, calibration.pedestal
     rows = [("channels per photoelectron", pdg(gain.value, gain.sigma or None))]
@@ -238,7 +238,7 @@ def of_peaks(
     combined: Repeated | None,
     notes: Sequence[str],
     widths: Mapping[str, Sequence[WidthParts]],
-    calibration: Calibration | None = None,
+    calibration: ChannelCalibration | None = None,
     lines: Mapping[str, Sequence[Line]] | None = None,
 ) -> Description:
     """The main peak of every histogram, what several mountings make together, and the widths."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -174,22 +174,19 @@ def draw_calibration(histograms: Sequence[Histogram]) -> style.Drawing:
     if calibration.pedestal is not None:
         run = calibration.pedestal_run
         runs = [] if run is None else [(run, calibration.pedestal)]
-    steps = {
-        "single photoelectrons": calibration.gain.spectrum and calibration.gain,
-        "pedestal": runs,
-        "background": [each for each in of_channels if each.background is not None][:1],
+    subtracted = [each for each in of_channels if each.background is not None][:1]
+    drawers: dict[str, Any] = {
+        "single photoelectrons": calibration.gain.spectrum and _draw_single_photoelectrons,
+        "pedestal": runs and _draw_pedestals,
+        "background": subtracted and _draw_background,
     }
-    drawers: dict[str, Callable[..., list[Sequence[object]]]] = {
-        "single photoelectrons": _draw_single_photoelectrons,
-        "pedestal": _draw_pedestals,
-        "background": _draw_background,
-    }
-    there = {name: step for name, step in steps.items() if step}
+    steps: dict[str, Any] = dict(zip(drawers, (calibration.gain, runs, subtracted), strict=True))
+    there = {name: draw for name, draw in drawers.items() if draw}
     figure = style.canvas(7.2, 0.6 + 3.2 * max(len(there), 1))
     panels = figure.subplots(max(len(there), 1), 1, squeeze=False)[:, 0]
     rows: list[Sequence[object]] = []
-    for axes, (name, step) in zip(panels, there.items(), strict=False):
-        rows += [(name, *row) for row in drawers[name](axes, step)]
+    for axes, (name, draw) in zip(panels, there.items(), strict=False):
+        rows += [(name, *row) for row in draw(axes, steps[name])]
         axes.set_title(name, loc="left", fontsize=11)
         style.open_axes(axes)
         style.legend(axes, loc="upper right")
@@ -197,8 +194,7 @@ def draw_calibration(histograms: Sequence[Histogram]) -> style.Drawing:
         words = f"{calibration.gain.value:g} channels per photoelectron, as a number"
         panels[0].text(0.5, 0.5, words, ha="center", transform=panels[0].transAxes)
         panels[0].set_axis_off()
-    columns = "step spectrum place events fitted".split()
-    return style.Drawing(figure, columns, rows)
+    return style.Drawing(figure, "step spectrum place events fitted".split(), rows)
 
 
 def _draw_single_photoelectrons(axes: Axes, gain: Gain) -> list[Sequence[object]]:

@@ -26,7 +26,7 @@ import numpy as np
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.rounding import pdg
-from mcrim_mitsuba.laboratory.calibration import Calibration, Gain, calibrated, fit_histogram
+from mcrim_mitsuba.laboratory.calibration import ChannelCalibration, Gain, calibrated, fit_histogram
 from mcrim_mitsuba.laboratory.digitiser import ChannelSpectrum
 from mcrim_mitsuba.laboratory.single_photoelectron import Pedestal, fit_single_photoelectrons
 from mcrim_mitsuba.output.description import table
@@ -114,7 +114,7 @@ def fit_photoelectrons(kind: str, seed: int, number: int) -> list[list[float]]:
 
 def fit_subtracted(kind: str, seed: int, number: int) -> list[list[float]]:
     """Pulls of a peak's centroid on a background that is subtracted."""
-    random, ratio = np.random.default_rng((seed, number)), float(kind)
+    random, ratio = np.random.default_rng((seed, number, round(10 * float(kind)))), float(kind)
     mean, channels, per_photoelectron = 450.0, 2048, 2.0
     pulls = []
     for _ in range(BLOCK):
@@ -124,7 +124,7 @@ def fit_subtracted(kind: str, seed: int, number: int) -> list[list[float]]:
         under *= peak[near].sum() / ratio / under[near].sum()
         seen = spectrum(peak + random.poisson(under), LIVE_TIME_S)
         dark = random.poisson(under * BACKGROUND_S / LIVE_TIME_S).astype(float)
-        calibration = Calibration(
+        calibration = ChannelCalibration(
             gain=Gain(value=per_photoelectron, sigma=0.0),
             pedestal=Pedestal(PEDESTAL, 0.0),
             background=spectrum(dark, BACKGROUND_S),
@@ -143,7 +143,7 @@ def fit_campaigns(kind: str, seed: int, number: int, eta: list[float]) -> list[l
         random = np.random.default_rng((seed, number, place))
         with tempfile.TemporaryDirectory() as name:
             path = write_campaign(Path(name), random, eta)
-            fit = mcrim.calibrate(path, photons=2**20, seed=1)
+            fit = mcrim.calibrate(path, photons=2**20, seed=1 + number)
         found = fit.parameters["light_yield_ph_per_keV"]
         first, *_, last = fit.rows
         ratio = first.measured / last.measured
@@ -168,7 +168,7 @@ def true_eta() -> list[float]:
     return [
         float(
             mcrim.simulate(
-                scene, n_gap=n_gap, crystal_height_mm=height, **true, photons=2**23, seed=7
+                scene, n_gap=n_gap, crystal_height_mm=height, **true, photons=2**24, seed=1000
             ).eta
         )
         for n_gap, height in CONFIGURATIONS

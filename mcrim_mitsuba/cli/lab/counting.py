@@ -105,10 +105,12 @@ def peak(
     """
     from mcrim_mitsuba.campaign.calibration import calibration_of_file
     from mcrim_mitsuba.campaign.editor import calibration_json
-    from mcrim_mitsuba.laboratory.calibration import calibrated, fit_histogram, photons_of
-    from mcrim_mitsuba.laboratory.digitiser import read_channels
-    from mcrim_mitsuba.laboratory.energy_scale import lines_of
-    from mcrim_mitsuba.laboratory.histogram import read_histogram
+    from mcrim_mitsuba.laboratory.calibration import (
+        fit_histogram,
+        photons_of,
+        read_photons,
+        window_of,
+    )
     from mcrim_mitsuba.output.laboratory_figures import (
         FittedHistogram,
         draw_calibration,
@@ -117,10 +119,7 @@ def peak(
         draw_widths,
     )
 
-    if shape not in _SHAPES:
-        meant = closest(shape, _SHAPES)
-        mend = f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}"
-        raise InputError(f"--shape {shape} is not known", mend)
+    _refuse_unknown(shape)
     if deposits and not map_file:
         raise InputError("--deposits says where gammas stop on a map", "give --map FILE.nc too")
     inputs = [*files, *filter(None, (calibration_file, map_file, deposits))]
@@ -128,28 +127,24 @@ def peak(
     showing.refuse_places(json_file, inputs, figure, *(name for name, of in further.items() if of))
     _refuse_duplicates(files)
     names = [Path(file).name for file in files]
-    if len(set(names)) < len(names):
-        names = list(files)
+    names = names if len(set(names)) == len(names) else list(files)
     calibration = calibration_file and calibration_of_file(calibration_file)
-    if calibration:
-        histograms: list = [calibrated(read_channels(file), calibration) for file in files]
-    else:
-        histograms = [read_histogram(file) for file in files]
     fitted = []
-    for name, histogram in zip(names, histograms, strict=True):
+    for name, file in zip(names, files, strict=True):
+        histogram = read_photons(file, calibration or None)
         with placed(path=histogram.path):
-            main = fit_histogram(histogram, shape=shape, window=window)
+            within = window_of(histogram, window)
+            main = fit_histogram(histogram, shape=shape, window=within)
         fitted.append(FittedHistogram(name, histogram, main))
-    peaks = {histogram.name: histogram.peak for histogram in fitted if histogram.peak is not None}
-    without = [histogram for histogram in fitted if histogram.peak is None]
+    peaks = {of.name: of.peak for of in fitted if of.peak is not None}
     notes = [f"{name}: {words}" for name, peak in peaks.items() for words in peak.warnings]
     values = {name: photons_of(of, peak) for name, of, peak, _ in fitted if peak is not None}
     combined, outliers, of_mean = _combined(values)
     notes += of_mean
-    found_in = zip(files, (histogram.peak for histogram in fitted), strict=True)
     document = {
         "histograms": [
-            {"file": file, "peak": peak and _peak_json(peak)} for file, peak in found_in
+            {"file": file, "peak": of.peak and _peak_json(of.peak)}
+            for file, of in zip(files, fitted, strict=True)
         ],
         "combined": combined and attributes(combined, _OF_MEAN) | {"outliers": outliers},
         "notes": notes,
@@ -158,32 +153,38 @@ def peak(
     if calibration:
         document["calibration"] = calibration_json(calibration)
         notes += calibration.notes
-        pictures["calibration"] = lambda: draw_calibration(histograms)
-    widths = _widths(peaks, map_file, depth_mm, deposits)
-    if widths:
+        pictures["calibration"] = lambda: draw_calibration([of.histogram for of in fitted])
+    if widths := _widths(peaks, map_file, depth_mm, deposits):
         pictures["widths"] = lambda: draw_widths(widths)
         parts = [(name, width) for name, of_peak in widths.items() for width in of_peak]
         document["widths"] = [{"histogram": name, **asdict(width)} for name, width in parts]
-    found = {of.name: lines_of(of.histogram, lines) for of in fitted} if lines else {}
+    found, numbers = _lines(fitted, lines)
     if found:
-        document["lines"] = [
-            {"histogram": name, **attributes(line, _OF_LINE), "peak": _peak_json(line.peak)}
-            for name, of_file in found.items()
-            for line in of_file
-        ]
-        pictures["lines"] = lambda: draw_lines(found)
+        document["lines"], pictures["lines"] = numbers, lambda: draw_lines(found)
     shown = of_peaks(fitted, combined, notes, widths, calibration, found)
     result = VerbResult(kind="peaks", shown=shown, numbers=document, drawings=pictures)
     showing.answer(result, json_file, figure)
-    if without:
-        mend = "let --window have the whole peak, and some background beside it"
-        if window is None:
-            mend = "measure longer, or show where it is with --window"
-        raise InputError("no peak stands out", mend, path=without[0].histogram.path)
+    for without in (histogram for histogram in fitted if histogram.peak is None):
+        mend = "measure longer, or show where it is with --window"
+        if window is not None:
+            mend = "let --window have the whole peak, and some background beside it"
+        raise InputError("no peak stands out", mend, path=without.histogram.path)
 
 
 _OF_LINE = "energy_keV photons photons_sigma per_keV relative relative_sigma width"
 _OF_MEAN = "mean sigma scatter_sigma internal_sigma chi2 ndf p_value consistent outliers warnings"
+
+
+def _lines(fitted: list, energies_keV: tuple[float, ...] | None) -> tuple[dict, list[dict]]:
+    """Lines of these energies by histogram, and the same for JSON; nothing without energies."""
+    from mcrim_mitsuba.laboratory.energy_scale import lines_of
+
+    found = {of.name: lines_of(of.histogram, energies_keV) for of in fitted if energies_keV}
+    return found, [
+        {"histogram": name, **attributes(line, _OF_LINE), "peak": _peak_json(line.peak)}
+        for name, of_file in found.items()
+        for line in of_file
+    ]
 
 
 def _combined(values: dict[str, tuple[float, float]]):
@@ -223,6 +224,14 @@ def _widths(
         ]
         for name, peak in peaks.items()
     }
+
+
+def _refuse_unknown(shape: str) -> None:
+    """Refuse a shape that there is not."""
+    if shape not in _SHAPES:
+        meant = closest(shape, _SHAPES)
+        mend = f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}"
+        raise InputError(f"--shape {shape} is not known", mend)
 
 
 def _refuse_duplicates(files: tuple[str, ...]) -> None:
