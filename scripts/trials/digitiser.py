@@ -175,8 +175,13 @@ def true_eta() -> list[float]:
     ]
 
 
-def write_campaign(folder: Path, random: np.random.Generator, eta: list[float]) -> Path:
-    """A campaign of six spectra of 4,096 channels, and all that calibrates them."""
+def write_campaign(
+    folder: Path,
+    random: np.random.Generator,
+    eta: list[float],
+    configurations: list[tuple[float, float]] = CONFIGURATIONS,
+) -> Path:
+    """A campaign of spectra of 4,096 channels, and all that calibrates them."""
     channels = 4096
 
     def write(name: str, counts: np.ndarray, seconds: float | None = None) -> None:
@@ -193,7 +198,7 @@ def write_campaign(folder: Path, random: np.random.Generator, eta: list[float]) 
     write("room.csv", random.poisson(under * BACKGROUND_S / LIVE_TIME_S), BACKGROUND_S)
     rows = ["label,histogram,n_gap,crystal_height_mm"]
     scale = LIGHT_YIELD * ENERGY_KEV * EFFICIENCY
-    for place, ((n_gap, height), of_bench) in enumerate(zip(CONFIGURATIONS, eta, strict=True)):
+    for place, ((n_gap, height), of_bench) in enumerate(zip(configurations, eta, strict=True)):
         peak = light(random, scale * of_bench, 0.03, per_photoelectron)
         counts = counts_of(peak, channels) + random.poisson(under)
         write(f"{place}.csv", counts, LIVE_TIME_S)
