@@ -75,6 +75,10 @@ def _file(meaning: str) -> dict[str, Any]:
     return {**_FILE, "description": f"{meaning}; paths are relative to the campaign"}
 
 
+def _file_or(meaning: str, **limits: float) -> dict[str, Any]:
+    return {"description": meaning, "anyOf": [_FILE, {"type": "number", **limits}]}
+
+
 def _table(meaning: str, *entries: Entries) -> dict[str, Any]:
     """The schema of a table that holds nothing but these entries."""
     properties = {name: entry for part in entries for name, entry in part.items()}
@@ -207,10 +211,9 @@ PEAKS: Entries = {
 }
 #: Of ``[calibration]``, of histograms in channels.
 CALIBRATION: Entries = {
-    "single_photoelectron": {
-        "description": "Spectrum of single photoelectrons, or channels per photoelectron",
-        "anyOf": [_FILE, {"type": "number", "exclusiveMinimum": 0}],
-    },
+    "single_photoelectron": _file_or(
+        "Spectrum of single photoelectrons, or channels per photoelectron", exclusiveMinimum=0
+    ),
     "single_photoelectron_sigma": _number("Standard error of that number", minimum=0),
     "crosstalk": {
         "type": "boolean",
@@ -220,10 +223,7 @@ CALIBRATION: Entries = {
         "Of the tube: mean and variance of the spectrum then tell the gain", minimum=1
     ),
     "excess_noise_factor_sigma": _number("Its standard error", minimum=0),
-    "pedestal": {
-        "description": "Run in the dark, or channel of the pedestal; else every spectrum's own",
-        "anyOf": [_FILE, {"type": "number"}],
-    },
+    "pedestal": _file_or("Run in the dark, or the pedestal's channel; else every spectrum's own"),
     "pedestal_sigma": _number("Standard error of that channel", minimum=0),
     "range_ratio": _number(
         "Channels per photoelectron where its spectrum was taken, over those of the light",

@@ -6,9 +6,9 @@ ratio, which is one factor on all of them and leaves their ratios alone, and tha
 was measured once, which is one shift of all of them. A pedestal that every spectrum has of its own
 is an error of its own.
 
-A background's spectrum is subtracted by live times. The differences are Gaussian, and may be
-negative; their variance, that of both spectra, is taken of counts that are smoothed over the
-neighbours, for their own roots would give bins that fell low too much weight.
+A background's spectrum is subtracted by live times. The differences are Gaussian; their variance,
+that of both spectra, is taken of counts that are smoothed over the neighbours, for their own roots
+would give bins that fell low too much weight.
 """
 
 from __future__ import annotations
@@ -99,16 +99,15 @@ class ChannelCalibration:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the reader must know of the calibration."""
-        fit, notes = self.gain.fit, []
-        if fit is not None and self.gain.spectrum is not None:
-            notes = [f"{self.gain.spectrum.path.name}: {warning}" for warning in fit.warnings]
-        if fit is not None and fit.crosstalk and fit.crosstalk_sigma:
-            if fit.crosstalk > 3.0 * fit.crosstalk_sigma:
-                notes.append(
-                    f"photoelectrons are fired cells, and crosstalk fires more of them: write "
-                    f"crosstalk = {fit.crosstalk:.3g} and crosstalk_sigma = "
-                    f"{fit.crosstalk_sigma:.1g} into [light_yield]"
-                )
+        fit, spectrum = self.gain.fit, self.gain.spectrum
+        if fit is None or spectrum is None:
+            return ()
+        notes = [f"{spectrum.path.name}: {warning}" for warning in fit.warnings]
+        if fit.crosstalk and fit.crosstalk > 3.0 * (fit.crosstalk_sigma or 0.0):
+            notes.append(
+                f"photoelectrons are fired cells, and crosstalk fires more of them: crosstalk = "
+                f"{fit.crosstalk:.3g}, crosstalk_sigma = {fit.crosstalk_sigma:.1g} in [light_yield]"
+            )
         return tuple(notes)
 
     def light(self, photoelectrons: float) -> tuple[float, float]:

@@ -1,10 +1,8 @@
 """Several lines of known energies in one spectrum: light per keV, and what makes peaks wide.
 
-Light is not quite proportional to the energy (non-proportionality): photons per keV of every line
-stand beside those of the line of the highest energy. The squares of relative widths add: counting
-1 / N, the spread of single photoelectrons (F - 1) / N, F being the excess noise factor, and what is
-left, the crystal's own; over 1 / N they lie on a line whose value at 0 is intrinsic (P. Dorenbos et
-al., IEEE Trans. Nucl. Sci. 42 (1995) 2190).
+The squares of relative widths add: counting 1 / N, the spread of single photoelectrons (F - 1) / N,
+F being the excess noise factor, and the crystal's own; over 1 / N they lie on a line whose value at
+0 is intrinsic (P. Dorenbos et al., IEEE Trans. Nucl. Sci. 42 (1995) 2190).
 """
 
 from __future__ import annotations
@@ -75,8 +73,8 @@ def lines_of(histogram: Histogram, energies_keV: Sequence[float]) -> tuple[Line,
     sets = []
     for chosen in itertools.combinations(peaks, len(energies)):
         logs = np.log([place for place, _, _ in chosen]) - np.log(energies)
-        sets.append((float(np.std(logs)), chosen))
-    spread, found = min(sets, default=(math.inf, ()))
+        sets.append((float(np.std(logs)), -chosen[-1][2], chosen))
+    spread, _, found = min(sets, default=(math.inf, 0.0, ()))
     if spread > _MOST_SPREAD:
         listed = ", ".join(f"{energy:g}" for energy in energies)
         problem = f"{len(peaks)} peaks stand out, but none at the ratios of {listed} keV"
@@ -85,25 +83,22 @@ def lines_of(histogram: Histogram, energies_keV: Sequence[float]) -> tuple[Line,
     values = [photons_of(histogram, peak) for peak in fitted]
     gain = histogram.calibration.gain.fit if isinstance(histogram, CalibratedHistogram) else None
     excess = gain.excess_noise_factor - 1.0 if gain is not None else 0.0
-    best, best_sigma = values[-1][0] / energies[-1], values[-1][1] / values[-1][0]
-    lines = []
-    for energy, peak, (photons, sigma) in zip(energies, fitted, values, strict=True):
-        other = best_sigma if energy != energies[-1] else -sigma / photons
-        rms = math.sqrt(max(excess, 0.0) / peak.centroid)
-        lines.append(
-            Line(
-                energy_keV=energy,
-                peak=peak,
-                photons=photons,
-                photons_sigma=sigma,
-                relative=photons / energy / best,
-                relative_sigma=photons / energy / best * math.hypot(sigma / photons, other)
-                if other > 0
-                else 0.0,
-                width=width_parts(peak, _SINGLE, rms, 0.0),
-            )
+    photons, sigmas = np.array(values).T
+    relative = photons / energies / (photons[-1] / energies[-1])
+    shared = np.where(np.arange(len(energies)) < len(energies) - 1, sigmas[-1] / photons[-1], 0.0)
+    relative_sigmas = relative * np.sign(shared) * np.hypot(sigmas / photons, shared)
+    return tuple(
+        Line(
+            energy_keV=energy,
+            peak=peak,
+            photons=float(photons[i]),
+            photons_sigma=float(sigmas[i]),
+            relative=float(relative[i]),
+            relative_sigma=float(relative_sigmas[i]),
+            width=width_parts(peak, _SINGLE, math.sqrt(max(excess, 0.0) / peak.centroid), 0.0),
         )
-    return tuple(lines)
+        for i, (energy, peak) in enumerate(zip(energies, fitted, strict=True))
+    )
 
 
 def _fitted(histogram: Histogram, place: float, width: float) -> Peak:
@@ -135,9 +130,10 @@ def intrinsic_width(lines: Sequence[Line]) -> tuple[Width, float] | None:
     widths = [line.width.total for line in lines]
     squares = np.array([width.fwhm**2 for width in widths]) / FWHM**2
     sigmas = np.array([2.0 * width.fwhm * width.sigma for width in widths]) / FWHM**2
-    design = np.stack([np.ones(len(lines)), [1.0 / line.peak.centroid for line in lines]])
-    covariance = np.linalg.inv((design / sigmas**2) @ design.T)
-    intrinsic, counted = covariance @ (design / sigmas**2) @ squares
-    root, sigma = math.sqrt(max(intrinsic, 0.0)), math.sqrt(covariance[0, 0])
+    per_photon = [1.0 / line.peak.centroid for line in lines]
+    (counted, intrinsic), covariance = np.polyfit(
+        per_photon, squares, 1, w=1.0 / sigmas, cov="unscaled"
+    )
+    root, sigma = math.sqrt(max(intrinsic, 0.0)), math.sqrt(covariance[1, 1])
     # near zero the error is that of the square
     return Width(FWHM * root, FWHM * sigma / max(2.0 * root, math.sqrt(sigma))), float(counted)

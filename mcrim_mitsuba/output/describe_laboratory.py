@@ -85,33 +85,27 @@ def histograms_pieces(raw: RawData) -> list[Piece]:
 
 def calibration_pieces(calibration: ChannelCalibration) -> list[Piece]:
     """What turns channels into photoelectrons: gain, pedestal, ratio of the ranges, errors."""
-    gain, fit, pedestal = calibration.gain, calibration.gain.fit, calibration.pedestal
-    rows = [("channels per photoelectron", pdg(gain.value, gain.sigma or None))]
+    fit, pedestal = calibration.gain.fit, calibration.pedestal
+    numbers = {"channels per photoelectron": (calibration.gain.value, calibration.gain.sigma)}
     if fit is not None:
-        rows += [
-            ("mean number of photoelectrons of its spectrum", pdg(fit.mean, fit.mean_sigma)),
-            ("excess noise factor", pdg(fit.excess_noise_factor, fit.excess_noise_factor_sigma)),
-        ]
-        if fit.crosstalk is not None and fit.crosstalk_sigma is not None:
-            rows.append(("crosstalk", pdg(fit.crosstalk, fit.crosstalk_sigma)))
-        if fit.spread is not None:
-            rows.append(("spread of a photoelectron, of the gain", f"{fit.spread / fit.gain:.3g}"))
-            rows.append(("its pedestal, channel", pdg(fit.pedestal.position, fit.pedestal.sigma)))
-            rows.append(("noise, channels", f"{fit.pedestal.width:.3g}"))
-            rows.append(("chi2 / ndf of its fit", f"{number(fit.chi2 or 0.0)} / {fit.ndf}"))
-    ratio = pdg(calibration.range_ratio, calibration.range_ratio_sigma or None)
-    own = "every spectrum's own"
-    rows += [
-        ("ratio of the ranges", ratio),
-        (
-            "pedestal of the light, channel",
-            pdg(pedestal.position, pedestal.sigma or None) if pedestal else own,
-        ),
-        ("photoelectrons per channel", f"{calibration.per_channel:.5g}"),
-    ]
+        numbers |= {
+            "photoelectrons in its spectrum, mean": (fit.mean, fit.mean_sigma),
+            "excess noise factor": (fit.excess_noise_factor, fit.excess_noise_factor_sigma),
+            "pedestal of its spectrum, channel": (fit.pedestal.position, fit.pedestal.sigma),
+        }
+        if fit.crosstalk is not None:
+            numbers["crosstalk"] = (fit.crosstalk, fit.crosstalk_sigma or 0.0)
+    numbers["ratio of the ranges"] = (calibration.range_ratio, calibration.range_ratio_sigma)
     if calibration.nonlinearity:
-        k, sigma = calibration.nonlinearity, calibration.nonlinearity_sigma
-        rows.append(("nonlinearity, per photoelectron", pdg(k, sigma or None)))
+        k = (calibration.nonlinearity, calibration.nonlinearity_sigma)
+        numbers["nonlinearity, per photoelectron"] = k
+    if pedestal is not None:
+        numbers["pedestal of the light, channel"] = (pedestal.position, pedestal.sigma)
+    rows = [(name, pdg(value, sigma or None)) for name, (value, sigma) in numbers.items()]
+    if pedestal is None:
+        rows.append(("pedestal of the light", "every spectrum's own"))
+    if fit is not None and fit.chi2 is not None:
+        rows.append(("chi2 / ndf of single photoelectrons", f"{number(fit.chi2)} / {fit.ndf}"))
     return [
         table("from channels to photoelectrons", ("calibration", Column("", left=True)), rows),
         f"all readings share {100 * calibration.scale_sigma:.2g} % of scale, which is the light "

@@ -15,14 +15,12 @@ from matplotlib.patches import Patch
 from mcrim_mitsuba.campaign.reduction import Mounting, RawData
 from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.core.rounding import number, pdg
-from mcrim_mitsuba.laboratory.calibration import CalibratedHistogram, Gain
-from mcrim_mitsuba.laboratory.digitiser import ChannelSpectrum
+from mcrim_mitsuba.laboratory.calibration import CalibratedHistogram
 from mcrim_mitsuba.laboratory.energy_scale import Line, intrinsic_width
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.light_yield import SCALE, DetectorEfficiency
 from mcrim_mitsuba.laboratory.peak import Peak
 from mcrim_mitsuba.laboratory.peak_band import Width, WidthParts
-from mcrim_mitsuba.laboratory.single_photoelectron import Pedestal
 from mcrim_mitsuba.optics.absorption import Absorption, Index
 from mcrim_mitsuba.optics.slab_transmittance import clear_limit
 from mcrim_mitsuba.optics.spectrum import Spectrum, common_grid
@@ -160,6 +158,8 @@ def _label(name: str, peak: Peak | None) -> str:
 
 # From channels to photoelectrons: single photoelectrons, pedestals, the background.
 
+#: What is drawn of a spectrum: its label, places (channels or photoelectrons) and events.
+_Curve = tuple[str, np.ndarray, np.ndarray]
 #: Spectra whose pedestals are drawn, at most, and widths of the noise around them.
 _MOST_PEDESTALS = 8
 _PEDESTAL_WIDTHS = 8.0
@@ -168,88 +168,64 @@ _PEDESTAL_WIDTHS = 8.0
 @style.styled
 def draw_calibration(histograms: Sequence[Histogram]) -> style.Drawing:
     """What calibrates histograms in channels: a panel for each step that there is."""
-    of_channels = [each for each in histograms if isinstance(each, CalibratedHistogram)]
-    calibration = of_channels[0].calibration
-    runs = [(each.spectrum, each.pedestal) for each in of_channels[:_MOST_PEDESTALS]]
-    if calibration.pedestal is not None:
-        run = calibration.pedestal_run
-        runs = [] if run is None else [(run, calibration.pedestal)]
-    subtracted = [each for each in of_channels if each.background is not None][:1]
-    drawers: dict[str, Any] = {
-        "single photoelectrons": calibration.gain.spectrum and _draw_single_photoelectrons,
-        "pedestal": runs and _draw_pedestals,
-        "background": subtracted and _draw_background,
-    }
-    steps: dict[str, Any] = dict(zip(drawers, (calibration.gain, runs, subtracted), strict=True))
-    there = {name: draw for name, draw in drawers.items() if draw}
-    figure = style.canvas(7.2, 0.6 + 3.2 * max(len(there), 1))
-    panels = figure.subplots(max(len(there), 1), 1, squeeze=False)[:, 0]
+    steps = _calibration_steps([h for h in histograms if isinstance(h, CalibratedHistogram)])
+    figure = style.canvas(7.2, 0.6 + 3.2 * len(steps))
+    panels = figure.subplots(len(steps), 1, squeeze=False)[:, 0]
     rows: list[Sequence[object]] = []
-    for axes, (name, draw) in zip(panels, there.items(), strict=False):
-        rows += [(name, *row) for row in draw(axes, steps[name])]
-        axes.set_title(name, loc="left", fontsize=11)
+    for axes, (step, curves) in zip(panels, steps.items(), strict=True):
+        for (name, places, events), colour in zip(curves, itertools.cycle(_COLOURS), strict=False):
+            axes.stairs(events, _edges(places), color=colour, label=name)
+            rows += [(step, name, *row) for row in zip(places, events, strict=True)]
+        places, events = curves[0][1:]
+        # pedestals go out of the picture of what is subtracted
+        top = 1.4 * float(events[places > 0.1 * places[-1]].max(initial=1.0))
+        if step.startswith("single"):
+            axes.set(yscale="log", ylim=(0.5, 4.0 * float(events.max())))
+        elif step.startswith("background"):
+            axes.set(ylim=(min(0.0, float(curves[-1][2].min())), top), xlim=(0.0, places[-1]))
+        axes.set(xlabel=step.partition(": ")[2], ylabel="events")
+        if step.startswith("pedestal"):
+            axes.set_ylabel("events, highest 1")
+        axes.set_title(step.partition(": ")[0], loc="left", fontsize=11)
         style.open_axes(axes)
         style.legend(axes, loc="upper right")
-    if not there:
-        words = f"{calibration.gain.value:g} channels per photoelectron, as a number"
-        panels[0].text(0.5, 0.5, words, ha="center", transform=panels[0].transAxes)
-        panels[0].set_axis_off()
-    return style.Drawing(figure, "step spectrum place events fitted".split(), rows)
+    return style.Drawing(figure, "step spectrum place events".split(), rows)
 
 
-def _draw_single_photoelectrons(axes: Axes, gain: Gain) -> list[Sequence[object]]:
-    """The spectrum of few photoelectrons with its fit; its rows."""
-    assert gain.spectrum is not None and gain.fit is not None
-    channels, counts, fit = gain.spectrum.channels, gain.spectrum.counts, gain.fit
-    filled = np.flatnonzero(counts)
-    inside = slice(filled[0], filled[-1] + 1)
-    channels, counts = channels[inside], counts[inside]
-    fitted = np.full(len(channels), np.nan)
-    axes.stairs(counts, _edges(channels), color=style.GREY, label=gain.spectrum.path.name)
-    if fit.spread is not None:
-        fitted = np.diff(fit.counts_below(_edges(channels)))
-        words = f"{pdg(fit.gain, fit.gain_sigma)} channels per photoelectron"
-        axes.plot(channels, fitted, color=style.WARM, lw=1.6, label=words)
-        axes.set(yscale="log", ylim=(0.5, 2.0 * float(counts.max())))
-    axes.set(xlabel="channel", ylabel="events")
-    name = gain.spectrum.path.name
-    return [(name, *row) for row in zip(channels, counts, fitted, strict=True)]
-
-
-def _draw_pedestals(
-    axes: Axes, runs: Sequence[tuple[ChannelSpectrum, Pedestal]]
-) -> list[Sequence[object]]:
-    """Pedestals, their heights alike; their rows."""
-    rows: list[Sequence[object]] = []
-    for (spectrum, pedestal), colour in zip(runs, itertools.cycle(_COLOURS), strict=False):
-        reach = _PEDESTAL_WIDTHS * max(pedestal.width or 0.0, 1.0)
-        near = np.abs(spectrum.channels - pedestal.position) < reach
-        channels, counts = spectrum.channels[near], spectrum.counts[near]
-        words = f"{spectrum.path.name}: {pdg(pedestal.position, pedestal.sigma or None)}"
-        heights = counts / max(float(counts.max(initial=0.0)), 1.0)
-        axes.stairs(heights, _edges(channels), color=colour, label=words)
-        axes.axvline(pedestal.position, color=colour, lw=1, ls=":")
-        rows += [(spectrum.path.name, *row, None) for row in zip(channels, counts, strict=True)]
-    axes.set(xlabel="channel", ylabel="events, highest 1")
-    return rows
-
-
-def _draw_background(
-    axes: Axes, histograms: Sequence[CalibratedHistogram]
-) -> list[Sequence[object]]:
-    """A spectrum, the background in its live time, and their difference; its rows."""
-    (histogram,) = histograms
-    assert histogram.background is not None
-    photons, edges = histogram.photons, _edges(histogram.photons)
-    whole = histogram.counts + histogram.background
-    axes.stairs(whole, edges, color=style.GREY, label=histogram.path.name)
-    axes.stairs(histogram.background, edges, color=style.WARM, label="background in its live time")
-    axes.stairs(histogram.counts, edges, color=style.DARK, label="difference")
-    beyond = whole[photons > 0.1 * photons[-1]]
-    axes.set(xlabel="photoelectrons", ylabel="events per bin", xlim=(0.0, photons[-1]))
-    axes.set_ylim(min(0.0, float(histogram.counts.min())), 1.3 * float(beyond.max(initial=1.0)))
-    name = histogram.path.name
-    return [(name, *row) for row in zip(photons, whole, histogram.background, strict=True)]
+def _calibration_steps(histograms: Sequence[CalibratedHistogram]) -> dict[str, list[_Curve]]:
+    """Curves of every step by its name and its unit; pedestals have the height 1."""
+    first, steps = histograms[0], {}
+    calibration = first.calibration
+    gain, pedestal, run = calibration.gain, calibration.pedestal, calibration.pedestal_run
+    if gain.spectrum is not None and gain.fit is not None:
+        filled = np.flatnonzero(gain.spectrum.counts)
+        inside = slice(filled[0], filled[-1] + 1)
+        channels, counts = gain.spectrum.channels[inside], gain.spectrum.counts[inside]
+        curves = [(gain.spectrum.path.name, channels, counts)]
+        if gain.fit.spread is not None:
+            words = f"{pdg(gain.value, gain.sigma)} channels per photoelectron"
+            curves.append((words, channels, np.diff(gain.fit.counts_below(_edges(channels)))))
+        steps["single photoelectrons: channel"] = curves
+    runs = [(h.spectrum, h.pedestal) for h in histograms[:_MOST_PEDESTALS]]
+    if run is not None and pedestal is not None:
+        runs = [(run, pedestal)]
+    curves = []
+    for spectrum, at in runs:
+        reach = _PEDESTAL_WIDTHS * max(at.width or 0.0, 1.0)
+        near = np.abs(spectrum.channels - at.position) < reach
+        events = spectrum.counts[near] / max(float(spectrum.counts[near].max(initial=0.0)), 1.0)
+        words = f"{spectrum.path.name}: {pdg(at.position, at.sigma or None)}"
+        curves.append((words, spectrum.channels[near], events))
+    steps["pedestal: channel"] = curves
+    if first.background is not None:
+        whole = (first.path.name, first.photons, first.counts + first.background)
+        under = ("background in its live time", first.photons, first.background)
+        steps["background: photoelectrons"] = [
+            whole,
+            under,
+            ("difference", first.photons, first.counts),
+        ]
+    return steps
 
 
 def _edges(centres: np.ndarray) -> np.ndarray:
@@ -463,20 +439,29 @@ def draw_lines(lines: Mapping[str, Sequence[Line]]) -> style.Drawing:
     rows: list[Sequence[object]] = []
     for (name, of_file), colour in zip(lines.items(), itertools.cycle(_COLOURS), strict=False):
         look: dict[str, Any] = {"color": colour, "fmt": "o", "label": style.shortened(name, 26)}
-        counts = np.array([line.peak.centroid for line in of_file])
-        total = [line.width.total for line in of_file]
-        fwhm, sigma = np.array([(width.fwhm, width.sigma) for width in total]).T
-        relative, errors = np.array([(line.relative, line.relative_sigma) for line in of_file]).T
-        energies = [line.energy_keV for line in of_file]
+        cells = np.array(
+            [
+                [
+                    line.energy_keV,
+                    line.peak.centroid,
+                    line.relative,
+                    line.relative_sigma,
+                    fwhm,
+                    sigma,
+                ]
+                for line in of_file
+                for fwhm, sigma in [(line.width.total.fwhm, line.width.total.sigma)]
+            ]
+        )
+        energies, counts, relative, errors, fwhm, sigma = cells.T
         left.errorbar(energies, relative, errors, **look)
         right.errorbar(counts**-0.5, 100 * fwhm, 100 * sigma, **look)
+        rows += [(name, *row) for row in cells.tolist()]
         if (fit := intrinsic_width(of_file)) is not None:
             fine = np.linspace(0.0, 1.1 * float((counts**-0.5).max()), 100)
             squares = fit[0].fwhm ** 2 + (FWHM * fine) ** 2 * fit[1]
             words = f"intrinsic {100 * fit[0].fwhm:.2g} %, {fit[1]:.3g} / N"
             right.plot(fine, 100 * np.sqrt(np.maximum(squares, 0)), color=colour, label=words)
-        cells = (energies, counts, relative, errors, fwhm, sigma)
-        rows += [(name, *row) for row in zip(*cells, strict=True)]
     left.set(xscale="log", xlabel="energy, keV", ylabel="photons per keV, highest line 1")
     right.set(xlabel="1 / √N of N photons", ylabel="full width at half maximum, %")
     right.set_xlim(left=0.0)

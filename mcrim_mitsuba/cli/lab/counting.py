@@ -39,18 +39,6 @@ class _Window(options.Written):
         return low, high
 
 
-class _Energies(options.Written):
-    """``59.5,661.7`` in keV."""
-
-    name = "keV,keV"
-
-    def read(self, what: str, text: str) -> tuple[float, ...]:
-        energies = tuple(parse_number(what, each) for each in text.split(","))
-        if min(energies) <= 0 or len(set(energies)) < len(energies):
-            self.fail(f"{text!r} are no energies of lines; give each once, such as 59.5,661.7")
-        return energies
-
-
 @click.command(short_help="Centroid of the main peak of histograms, photons per event.")
 @click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
 @option(
@@ -74,9 +62,10 @@ class _Energies(options.Written):
 )
 @option(
     "--lines",
-    _Energies(),
-    "Energies of lines that every FILE has: photons per keV, and the resolution; drawn as "
-    "NAME_lines.",
+    click.STRING,
+    "Energies of lines, as 59.5,661.7 in keV, that every FILE has: photons per keV, and "
+    "the resolution; drawn as NAME_lines.",
+    metavar="keV,keV",
 )
 @options.file(
     "--map",
@@ -175,11 +164,14 @@ _OF_LINE = "energy_keV photons photons_sigma per_keV relative relative_sigma wid
 _OF_MEAN = "mean sigma scatter_sigma internal_sigma chi2 ndf p_value consistent outliers warnings"
 
 
-def _lines(fitted: list, energies_keV: tuple[float, ...] | None) -> tuple[dict, list[dict]]:
+def _lines(fitted: list, energies: str | None) -> tuple[dict, list[dict]]:
     """Lines of these energies by histogram, and the same for JSON; nothing without energies."""
     from mcrim_mitsuba.laboratory.energy_scale import lines_of
 
-    found = {of.name: lines_of(of.histogram, energies_keV) for of in fitted if energies_keV}
+    given = [parse_number("--lines", text) for text in energies.split(",")] if energies else []
+    if given and (min(given) <= 0 or len(set(given)) < len(given)):
+        raise InputError(f"--lines {energies} are no energies", "give each once, above 0 keV")
+    found = {of.name: lines_of(of.histogram, given) for of in fitted if given}
     return found, [
         {"histogram": name, **attributes(line, _OF_LINE), "peak": _peak_json(line.peak)}
         for name, of_file in found.items()
