@@ -9,7 +9,7 @@ from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.entries import number_within
 from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.core.errors import InputError, placed, said_by
-from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
+from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, is_plain_number, read_toml
 from mcrim_mitsuba.laboratory.calibration import ChannelCalibration, Gain, with_live_time
 from mcrim_mitsuba.laboratory.digitiser import ChannelSpectrum, read_channels
 from mcrim_mitsuba.laboratory.single_photoelectron import (
@@ -52,10 +52,10 @@ def read_calibration(document: TomlDocument) -> ChannelCalibration | None:
         mend = f'add {_GAIN} = "spe.csv", or channels per photoelectron as a number'
         raise table.refusal("", f"[{schema.CALIBRATION_TABLE}] has no {_GAIN}", mend)
     number = partial(number_within, table, entries=entries)
-    for name in ("pedestal", "range_ratio", "nonlinearity", _NOISE):
-        if f"{name}_sigma" in table and name not in table:
-            problem = f"{name}_sigma without {name}"
-            raise table.refusal(f"{name}_sigma", problem, f"add {name}, or remove it")
+    for name in (_GAIN, "pedestal", "range_ratio", "nonlinearity", _NOISE):
+        if f"{name}_sigma" in table and not is_plain_number(table.get(name)):
+            problem = f"{name}_sigma without {name} as a number: a spectrum gives its own"
+            raise table.refusal(f"{name}_sigma", problem, f"write {name} as a number, or remove it")
     pedestal, run = _pedestal(table)
     times = number("live_time_s"), number("dead_time_us")
     background = None
@@ -84,7 +84,6 @@ def _pedestal(table: TomlTable) -> tuple[Pedestal | None, ChannelSpectrum | None
     if not isinstance(table["pedestal"], str):
         sigma = number_within(table, "pedestal_sigma", schema.CALIBRATION)
         return Pedestal(table.known_number("pedestal"), sigma or 0.0), None
-    _refuse_error(table, "pedestal")
     run = read_channels(file_in(table, "pedestal", table["pedestal"]))
     pedestal = fit_pedestal(run.channels, run.counts)
     if pedestal is None:
@@ -100,7 +99,6 @@ def _gain(table: TomlTable, pedestal: Pedestal | None) -> Gain:
         sigma = number_within(table, f"{_GAIN}_sigma", schema.CALIBRATION)
         assert value is not None
         return Gain(value=value, sigma=sigma or 0.0)
-    _refuse_error(table, _GAIN)
     crosstalk = table.get("crosstalk")
     if crosstalk is not None and not isinstance(crosstalk, bool):
         raise table.refusal("crosstalk", "crosstalk is not true or false", "write crosstalk = true")
@@ -117,10 +115,3 @@ def _gain(table: TomlTable, pedestal: Pedestal | None) -> Gain:
     with said_by(partial(table.refusal, _GAIN), placed_too=False):
         fit = gain_by_excess_noise(spectrum.channels, spectrum.counts, pedestal, factor, sigma)
     return Gain(value=fit.gain, sigma=fit.gain_sigma, spectrum=spectrum, fit=fit)
-
-
-def _refuse_error(table: TomlTable, name: str) -> None:
-    """Refuse the standard error of a number that a spectrum gives."""
-    if f"{name}_sigma" in table:
-        problem = f"{name}_sigma beside a spectrum, which gives it"
-        raise table.refusal(f"{name}_sigma", problem, "remove it")

@@ -371,8 +371,8 @@ def to_json(raw: RawData) -> dict[str, Any]:
 def calibration_json(calibration: ChannelCalibration) -> dict[str, Any]:
     """What turns channels into photoelectrons, and what the spectra for it said."""
     of_fit = (
-        "pedestal mean mean_sigma crosstalk crosstalk_sigma spread excess_noise_factor "
-        "excess_noise_factor_sigma events chi2 ndf p_value"
+        "pedestal mean mean_sigma crosstalk crosstalk_sigma afterpulsing afterpulsing_sigma spread "
+        "excess_noise_factor excess_noise_factor_sigma events chi2 ndf p_value"
     )
     return {
         **attributes(calibration.gain, "value sigma"),

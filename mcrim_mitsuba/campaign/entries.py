@@ -211,24 +211,14 @@ PEAKS: Entries = {
 }
 #: Of ``[calibration]``, of histograms in channels.
 CALIBRATION: Entries = {
-    "single_photoelectron": _file_or(
-        "Spectrum of single photoelectrons, or channels per photoelectron", exclusiveMinimum=0
-    ),
+    "single_photoelectron": _file_or("Its spectrum, or channels per one", exclusiveMinimum=0),
     "single_photoelectron_sigma": _number("Standard error of that number", minimum=0),
-    "crosstalk": {
-        "type": "boolean",
-        "description": "Whether crosstalk is fitted; else where single photoelectrons are resolved",
-    },
-    "excess_noise_factor": _number(
-        "Of the tube: mean and variance of the spectrum then tell the gain", minimum=1
-    ),
+    "crosstalk": {"type": "boolean", "description": "Whether it is fitted; else if resolved"},
+    "excess_noise_factor": _number("Mean and variance then tell the gain of a tube", minimum=1),
     "excess_noise_factor_sigma": _number("Its standard error", minimum=0),
     "pedestal": _file_or("Run in the dark, or the pedestal's channel; else every spectrum's own"),
     "pedestal_sigma": _number("Standard error of that channel", minimum=0),
-    "range_ratio": _number(
-        "Channels per photoelectron where its spectrum was taken, over those of the light",
-        exclusiveMinimum=0,
-    ),
+    "range_ratio": _number("Of its range's gain to that of the light", exclusiveMinimum=0),
     "range_ratio_sigma": _number("Its standard error", minimum=0),
     "nonlinearity": _number("k of reading = true / (1 + k true), per photoelectron"),
     "background": _file("Spectrum of the background, subtracted by live times"),

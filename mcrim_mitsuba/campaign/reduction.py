@@ -260,10 +260,6 @@ def reduce_raw_data(
     calibration = read_calibration(document)
     readings, reduced = _reduce_table(table, shape or AUTO, calibration)
     measurements = table.with_readings(readings)
-    if calibration is not None and not reduced:
-        problem = f"no reading of {table.path.name} is a histogram in channels"
-        key = document.table(schema.CALIBRATION_TABLE)
-        raise key.refusal("", problem, "name one in a column histogram, or remove the table")
     if not (reduced or efficiency or absorption or source_depth):
         return raw_data.with_numbers(document, {}), measurements, None
     names = [source_depth and source_depth.formula]

@@ -6,11 +6,13 @@ fire others, it is the generalised Poisson's (S. Vinogradov, NIM A 695 (2012) 24
     P(n) = mu (mu + n lam)^(n - 1) exp(-mu - n lam) / n!,   lam = -ln(1 - crosstalk),
 
 and n of them make a Gaussian at pedestal + n gain of the variance noise^2 + n spread^2 (E. H.
-Bellamy et al., NIM A 339 (1994) 468, without the discharges that they add to the pedestal). All
-numbers are those of the largest Poisson likelihood of the counts (S. Baker and R. D. Cousins, NIM
-221 (1984) 437), by MINUIT. Tubes without a pedestal in sight tell the gain by the excess of noise
-alone: mean M and variance V of a flash of equal light are gain mu and gain^2 mu F, F being the
-excess noise factor 1 + (spread / gain)^2, so that the gain is V / (M F).
+Bellamy et al., NIM A 339 (1994) 468, without the discharges that they add to the pedestal). An
+afterpulse adds a charge that falls exponentially (V. Chmill et al., NIM A 854 (2017) 70), one an
+event at most. All numbers are those of the largest Poisson likelihood of the counts, by MINUIT.
+
+Tubes without a pedestal in sight tell the gain by the excess of noise alone: mean M and variance V
+of a flash of equal light are gain mu and gain^2 mu F, F being the excess noise factor
+1 + (spread / gain)^2, so that the gain is V / (M F).
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from dataclasses import KW_ONLY, dataclass
 from functools import partial
 
 import numpy as np
-from scipy.special import chdtrc, gammaln, ndtr, xlogy
+from scipy.special import chdtrc, gammaln, log_ndtr, ndtr, xlogy
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
@@ -31,7 +33,15 @@ from mcrim_mitsuba.laboratory.columns import lowest_peak
 from mcrim_mitsuba.laboratory.peak_band import LEAST_P, fit_band
 from mcrim_mitsuba.laboratory.peak_shapes import GAUSSIAN
 
-_PARAMETERS = ("events", "mean", "pedestal", "noise", "gain", "spread", "lam")
+_PARAMETERS = (
+    *("events", "mean", "pedestal", "noise", "gain", "spread", "lam"),
+    *("after", "decay"),
+)
+#: Of what silicon has besides; afterpulses are tried where a fit without is bad, and kept where
+#: they lower chi2 by so much.
+_CROSSTALK = ("lam",)
+_AFTERPULSES = ("lam", "after", "decay")
+_TOLD = 25.0
 #: Of a pedestal's fit: widths to both sides, for light lies above it, and fits until it stays.
 _BELOW = 3.0
 _ABOVE = 1.7
@@ -57,8 +67,6 @@ _BEYOND = 8
 _MOST_MEAN = 30.0
 _MOST_NUMBERS = 200
 _LARGEST_LAM = 0.7
-#: Relative error of a gain that is said to be poor.
-_POOR = 0.05
 
 
 @dataclass(frozen=True)
@@ -86,6 +94,9 @@ class SinglePhotoelectrons:
     #: Probability that a cell that fires fires others at once; None of a tube, 0.
     crosstalk: float | None = None
     crosstalk_sigma: float | None = None
+    #: Probability that a cell that fired has an afterpulse in the gate; None where none is told.
+    afterpulsing: float | None = None
+    afterpulsing_sigma: float | None = None
     #: Standard deviation of a photoelectron's charge, in channels; None by excess noise.
     spread: float | None = None
     #: Mean square of the charge over the square of its mean, for each primary photoelectron.
@@ -97,17 +108,15 @@ class SinglePhotoelectrons:
     chi2: float | None = None
     ndf: int = 0
     p_value: float | None = None
+    #: Of the expected counts, as they were fitted; none by excess noise.
+    parameters: tuple[float, ...] = ()
     #: What the reader must know, a sentence each.
     warnings: tuple[str, ...] = ()
 
     def counts_below(self, channels: Array) -> Array:
         """Expected counts below these places."""
-        assert self.spread is not None and self.pedestal.width is not None
-        lam = -math.log1p(-(self.crosstalk or 0.0))
         numbers = math.ceil((channels.max() - self.pedestal.position) / self.gain) + _BEYOND
-        pedestal, noise = self.pedestal.position, self.pedestal.width
-        values = (self.events, self.mean, pedestal, noise, self.gain, self.spread, lam)
-        return _cumulative(channels, values, max(numbers, _BEYOND))
+        return _cumulative(channels, self.parameters, max(numbers, _BEYOND))
 
 
 def fit_pedestal(channels: Array, counts: Array) -> Pedestal | None:
@@ -160,10 +169,15 @@ def chances(mean: float, lam: float, numbers: int) -> Array:
 
 def _cumulative(edges: Array, values: Sequence[float], numbers: int) -> Array:
     """Expected counts below the edges of bins; values of the parameters as `_PARAMETERS` names."""
-    events, mean, pedestal, noise, gain, spread, lam = values
+    events, mean, pedestal, noise, gain, spread, lam, after, decay = values
     n = np.arange(numbers)
     widths = np.sqrt(noise**2 + n * spread**2)
-    below = ndtr((edges[:, None] - pedestal - n * gain) / widths)
+    away = (edges[:, None] - pedestal - n * gain) / widths
+    below = ndtr(away)
+    if after > 0.0:
+        faster = widths / decay
+        late = np.exp(0.5 * faster**2 - away * faster + log_ndtr(away - faster))
+        below = below - (1.0 - (1.0 - after) ** n) * late
     return np.asarray(events * (below @ chances(mean, lam, numbers)), float)
 
 
@@ -173,7 +187,8 @@ def fit_single_photoelectrons(
     """Fit pedestal, gain, spread and mean number, by the likelihood that this module names.
 
     With `crosstalk` its probability is fitted too; None: where single photoelectrons are told
-    apart, as in silicon they are. Channels ascend by one step, (bins,) float64.
+    apart, as in silicon they are. Afterpulses are, where the counts demand them. Channels ascend by
+    one step, (bins,) float64.
 
     Raises InputError if no pedestal is in sight, or nothing above it.
     """
@@ -194,10 +209,28 @@ def fit_single_photoelectrons(
     seen = seen.reshape(-1, join).sum(axis=1)
     edges = channels[0] + step * (np.arange(first, last + 1, join) - 0.5)
     start, numbers = _start(channels, counts, float(channels[top]), noise * step)
-    fitted = _descend(edges, seen, start, numbers, crosstalk is True)
+    freed = _CROSSTALK if crosstalk else ()
+    fitted = _descend(edges, seen, _starts(start, freed), numbers, freed)
     if crosstalk is None and fitted.values["spread"] < _RESOLVED * fitted.values["gain"]:
-        fitted = _descend(edges, seen, start, numbers, True)
-    return _result(fitted, edges, seen, numbers)
+        freed = _CROSSTALK
+        fitted = _descend(edges, seen, _starts(start, freed), numbers, freed)
+    result = _result(fitted, edges, seen, numbers)
+    if freed and (result.p_value or 1.0) < LEAST_P:
+        begin = {**fitted.values.to_dict(), "after": 0.03}
+        further = _descend(edges, seen, [begin], numbers, _AFTERPULSES)
+        if further.valid and further.fval < fitted.fval - _TOLD:
+            result = _result(further, edges, seen, numbers)
+    return result
+
+
+def _starts(start: dict[str, float], freed: Sequence[str]) -> list[dict[str, float]]:
+    """Where fits begin, with these parameters of silicon."""
+    starts = []
+    for spread, lam in _STARTS if freed else _STARTS[::2]:
+        gain = start["gain"] * (1.0 - lam)
+        further = {"spread": spread * gain, "lam": lam, "after": 0.0, "decay": 0.5 * gain}
+        starts.append({**start, "gain": gain, **further})
+    return starts
 
 
 def _start(
@@ -220,7 +253,13 @@ def _start(
     return start, min(numbers, _MOST_NUMBERS)
 
 
-def _descend(edges: Array, counts: Array, start: dict[str, float], numbers: int, crosstalk: bool):  # type: ignore[no-untyped-def]
+def _descend(  # type: ignore[no-untyped-def]
+    edges: Array,
+    counts: Array,
+    starts: Sequence[dict[str, float]],
+    numbers: int,
+    freed: Sequence[str],
+):
     """MINUIT at the best of the minima that several starts lead to."""
     from iminuit import Minuit
     from iminuit.cost import ExtendedBinnedNLL
@@ -230,14 +269,16 @@ def _descend(edges: Array, counts: Array, start: dict[str, float], numbers: int,
 
     cost = ExtendedBinnedNLL(counts, edges, model, name=_PARAMETERS)
     fits = []
-    for spread, lam in _STARTS if crosstalk else _STARTS[::2]:
-        gain = start["gain"] * (1.0 - lam)
-        fit = Minuit(cost, **{**start, "gain": gain, "spread": spread * gain, "lam": lam})
+    for start in starts:
+        fit = Minuit(cost, **start)
         fit.limits["events", "noise", "gain"] = (1e-6, None)
         fit.limits["spread"] = (0.0, None)
         fit.limits["mean"] = (1e-3, _MOST_MEAN)
         fit.limits["lam"] = (-_LARGEST_LAM, _LARGEST_LAM)
-        fit.fixed["lam"] = not crosstalk
+        fit.limits["after"] = (0.0, _LARGEST_LAM)
+        fit.limits["decay"] = (0.05 * start["gain"], 3.0 * start["gain"])
+        for name in _AFTERPULSES:
+            fit.fixed[name] = name not in freed
         fit.strategy = 0
         fits.append(fit)
     fits.sort(key=lambda fit: cost(*fit.values))
@@ -266,17 +307,10 @@ def _result(fit, edges: Array, counts: Array, numbers: int) -> SinglePhotoelectr
     error = {name: worse * of for name, of in zip(fit.parameters, fit.errors, strict=True)}
     relative = (spread / gain) ** 2
     # d F / d gain, spread, lam
-    slopes = np.array(
-        [
-            -2.0 * relative / gain * (1.0 - lam),
-            2.0 * spread / gain**2 * (1.0 - lam),
-            1.0 / (1.0 - lam) ** 2 - relative,
-        ]
-    )
-    names = ("gain", "spread", "lam")
-    part = np.array(
-        [[0.0 if covariance is None else covariance[a, b] for b in names] for a in names]
-    )
+    kept, names = 1.0 - lam, ["gain", "spread", "lam"]
+    slopes = np.array([-2.0 * relative / gain, 2.0 * spread / gain**2, kept**-3 - relative / kept])
+    slopes = slopes * kept
+    part = np.zeros((3, 3)) if covariance is None else np.asarray(covariance[names])
     warnings = []
     if not fit.valid or covariance is None:
         warnings.append("the fit of single photoelectrons did not settle: look at its picture")
@@ -286,12 +320,8 @@ def _result(fit, edges: Array, counts: Array, numbers: int) -> SinglePhotoelectr
             f"{p_equals(p_value)}): its errors are {worse:.2g} times those of the counts; is the "
             "pedestal one Gaussian, and no threshold in the spectrum?"
         )
-    if error["gain"] > _POOR * gain:
-        warnings.append(
-            f"the gain is known to {100 * error['gain'] / gain:.2g} % only: take more events, or "
-            "less light"
-        )
     crosstalk = None if fit.fixed["lam"] else -math.expm1(-lam)
+    told = not fit.fixed["after"]
     return SinglePhotoelectrons(
         gain,
         error["gain"],
@@ -300,10 +330,13 @@ def _result(fit, edges: Array, counts: Array, numbers: int) -> SinglePhotoelectr
         mean_sigma=error["mean"],
         crosstalk=crosstalk,
         crosstalk_sigma=None if crosstalk is None else error["lam"] * math.exp(-lam),
+        afterpulsing=value["after"] if told else None,
+        afterpulsing_sigma=error["after"] if told else None,
         spread=spread,
-        excess_noise_factor=1.0 / (1.0 - lam) + relative * (1.0 - lam),
+        excess_noise_factor=1.0 / kept + relative * kept,
         excess_noise_factor_sigma=worse * math.sqrt(max(slopes @ part @ slopes, 0.0)),
         events=value["events"],
+        parameters=tuple(fit.values),
         chi2=chi2,
         ndf=ndf,
         p_value=p_value,

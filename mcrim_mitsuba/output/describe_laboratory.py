@@ -95,6 +95,8 @@ def calibration_pieces(calibration: ChannelCalibration) -> list[Piece]:
         }
         if fit.crosstalk is not None:
             numbers["crosstalk"] = (fit.crosstalk, fit.crosstalk_sigma or 0.0)
+        if fit.afterpulsing is not None:
+            numbers["afterpulsing"] = (fit.afterpulsing, fit.afterpulsing_sigma or 0.0)
     numbers["ratio of the ranges"] = (calibration.range_ratio, calibration.range_ratio_sigma)
     if calibration.nonlinearity:
         k = (calibration.nonlinearity, calibration.nonlinearity_sigma)

@@ -134,7 +134,11 @@ ENTRIES = 'single_photoelectron = "few.csv"\npedestal = "dark.csv"'
         ("few.csv", "many.csv", "many.csv does not exist"),
         ("few.csv", "dark.csv", "next to nothing lies above the pedestal"),
         ('"few.csv"', "-3.0", "single_photoelectron = -3 is not above 0"),
-        ('"few.csv"', '"few.csv"\nsingle_photoelectron_sigma = 1', "beside a spectrum"),
+        (
+            '"few.csv"',
+            '"few.csv"\nsingle_photoelectron_sigma = 1',
+            "without single_photoelectron as a number",
+        ),
         ('pedestal = "dark.csv"', "pedestal_sigma = 0.1", "pedestal_sigma without pedestal"),
         ('pedestal = "dark.csv"', "", "no pedestal stands out at the low end"),
         (

@@ -83,6 +83,21 @@ def test_a_tube_and_too_little_light(tmp_path):
         fit_single_photoelectrons(np.arange(200.0), flat)
 
 
+def test_afterpulses_are_told_where_there_are_some():
+    """One an event at most, its charge exponential: 8 % of each cell that fired."""
+    pulls = []
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        n = random.poisson(1.2, 40_000)
+        after = (random.random(len(n)) < 1 - 0.92**n) * random.exponential(25, len(n))
+        charge = 100 + 50 * n + after + 3.5 * np.sqrt(1 + n) * random.normal(size=len(n))
+        counts = np.bincount(np.round(charge).astype(int)).astype(float)
+        fit = fit_single_photoelectrons(np.arange(float(len(counts))), counts)
+        pulls += [(fit.gain - 50) / fit.gain_sigma, (fit.mean - 1.2) / fit.mean_sigma]
+        pulls += [(fit.afterpulsing - 0.08) / fit.afterpulsing_sigma]
+    assert_honest(pulls)
+
+
 def test_excess_noise_tells_the_gain():
     """M = gain mu, V = gain^2 mu F + noise^2."""
     random = np.random.default_rng(5)
