@@ -33,6 +33,7 @@ from mcrim_mitsuba.output.description import table
 from trials.executor import Trial, Trials, executor_options
 from trials.truth import do_missing
 
+SCENE = Path(__file__).resolve().parents[2] / "scenes" / "camoo4.xml"
 BLOCK = 10
 EVENTS = 50_000
 SIGNAL_TO_BACKGROUND = (5.0, 2.0, 1.0, 0.5)
@@ -164,7 +165,7 @@ def true_eta() -> list[float]:
     import mcrim_mitsuba as mcrim
 
     true = {"alpha_scat_per_cm": ALPHA_SCAT, "alpha_abs_per_cm": ALPHA_ABS}
-    scene = mcrim.read_scene("scenes/camoo4.xml")
+    scene = mcrim.read_scene(SCENE)
     return [
         float(
             mcrim.simulate(
@@ -206,10 +207,9 @@ def write_campaign(
     (folder / "readings.csv").write_text("\n".join(rows) + "\n")
     known = random.normal(ALPHA_ABS, ABS_SIGMA)
     ratio = random.normal(RANGE_RATIO, RATIO_SIGMA)
-    scene = Path("scenes/camoo4.xml").resolve()
     path = folder / "campaign.toml"
     path.write_text(f"""
-scene = "{scene}"
+scene = "{SCENE}"
 measurements = "readings.csv"
 [parameters.alpha_scat_per_cm]
 start = 0.6
