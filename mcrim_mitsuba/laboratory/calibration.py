@@ -152,15 +152,20 @@ def fit_histogram(
 def window_of(
     histogram: Histogram, window: tuple[float, float] | None
 ) -> tuple[float, float] | None:
-    """A window in the unit of a histogram's file, as the part of its photons per event."""
+    """A window in the unit of a histogram's file, as the part of its photons per event.
+
+    Raises InputError if it is of channels that the spectrum does not have.
+    """
     if window is None or not isinstance(histogram, CalibratedHistogram):
         return window
-    half = 0.5 * (histogram.photons[1] - histogram.photons[0])
-    low, high = (
-        (channel - histogram.pedestal.position) * histogram.calibration.per_channel
-        for channel in window
-    )
-    return max(low, histogram.photons[0] - half), min(high, histogram.photons[-1] + half)
+    first, last = histogram.spectrum.channels[[0, -1]]
+    if not first <= window[0] < window[1] <= last:
+        problem = f"the window {window[0]:g} to {window[1]:g} does not lie in the spectrum"
+        raise InputError(problem, f"give two ascending channels from {first:g} to {last:g}")
+    ends = np.array(window) - histogram.pedestal.position
+    low, high = (ends * histogram.calibration.per_channel).tolist()
+    # the last channels may be too few for a bin
+    return max(low, histogram.photons[0]), min(high, histogram.photons[-1])
 
 
 def read_photons(path: str | Path, calibration: ChannelCalibration | None) -> Histogram:

@@ -19,6 +19,7 @@ from mcrim_mitsuba.laboratory.calibration import (
     calibrated,
     fit_histogram,
     photons_of,
+    window_of,
     with_live_time,
 )
 from mcrim_mitsuba.laboratory.digitiser import read_channels
@@ -140,6 +141,11 @@ def test_channels_become_photoelectrons():
     value, sigma = photons_of(histogram, peak)
     assert peak.shape == "counting" and abs(value - 150.0) < 4 * sigma < 1.2
     assert sigma == peak.centroid_sigma and TWO.scale_sigma == 0.01 and TWO.offset_sigma == 0.25
+    # windows are in channels
+    low, high = window_of(histogram, (350.0, 450.0))
+    assert (low, high) == (125.0, 175.0)
+    assert abs(fit_histogram(histogram, window=(low, high)).centroid - 150.0) < 1.0
+    assert "give two ascending channels from 0 to" in refusal(window_of, histogram, (350.0, 9e9))
     # k of reading = true / (1 + k true)
     bent = ChannelCalibration(gain=TWO.gain, pedestal=TWO.pedestal, nonlinearity=1e-3)
     assert bent.light(150.0 / 1.15)[0] == pytest.approx(150.0)
