@@ -86,11 +86,8 @@ def _first_name(table: DataTable) -> str:
 
 
 def _pedestal(bins: Array, counts: Array) -> float | None:
-    """Place of the lowest peak, if it is narrower than the square root of its place.
-
-    Only of bins that are numbered one by one, from 0 or more, as channels are.
-    """
-    if np.any(np.diff(bins) != 1.0) or bins[0] < 0 or (lowest := lowest_peak(counts)) is None:
+    """Place of the lowest peak, if it is narrower than the square root of its place."""
+    if bins[0] < 0 or (lowest := lowest_peak(counts)) is None:
         return None
     top, half_width = lowest
     around = math.ceil(_AROUND * half_width)

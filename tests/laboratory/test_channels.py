@@ -53,3 +53,14 @@ def test_counts_alone_and_swapped_columns_are_said(tmp_path):
         assert "the columns are swapped" in refusal(read_histogram, path)
     path.write_text("counts,channel\n" + rows(BINS, counts))
     assert "the names are swapped: counts, channel" in refusal(read_histogram, path)
+
+
+def test_lists_of_charges_are_no_photoelectrons(tmp_path):
+    path, random = tmp_path / "events.txt", np.random.default_rng(5)
+    charges = np.concatenate([random.normal(120, 3, 5000), random.normal(2000, 150, 20_000)])
+    rows_of_events = rows(random.permutation(charges).astype(int))
+    for head in ("", "adc\n"):
+        path.write_text(head + rows_of_events)
+        assert MEND in refusal(read_histogram, path)
+    path.write_text(f"photons\n{rows_of_events}")
+    assert read_histogram(path).counts.sum() == 25_000
