@@ -160,6 +160,9 @@ def _label(name: str, peak: Peak | None) -> str:
 
 #: What is drawn of a spectrum: its label, places (channels or photoelectrons) and events.
 _Curve = tuple[str, np.ndarray, np.ndarray]
+_SINGLE = "single photoelectrons"
+_PEDESTAL = "pedestal"
+_BACKGROUND_STEP = "background"
 #: Spectra whose pedestals are drawn, at most, and widths of the noise around them.
 _MOST_PEDESTALS = 8
 _PEDESTAL_WIDTHS = 8.0
@@ -172,27 +175,27 @@ def draw_calibration(histograms: Sequence[Histogram]) -> style.Drawing:
     figure = style.canvas(7.2, 0.6 + 3.2 * len(steps))
     panels = figure.subplots(len(steps), 1, squeeze=False)[:, 0]
     rows: list[Sequence[object]] = []
-    for axes, (step, curves) in zip(panels, steps.items(), strict=True):
+    for axes, ((step, unit), curves) in zip(panels, steps.items(), strict=True):
         for (name, places, events), colour in zip(curves, itertools.cycle(_COLOURS), strict=False):
             axes.stairs(events, _edges(places), color=colour, label=name)
             rows += [(step, name, *row) for row in zip(places, events, strict=True)]
         places, events = curves[0][1:]
         # pedestals go out of the picture of what is subtracted
         top = 1.4 * float(events[places > 0.1 * places[-1]].max(initial=1.0))
-        if step.startswith("single"):
+        if step == _SINGLE:
             axes.set(yscale="log", ylim=(0.5, 4.0 * float(events.max())))
-        elif step.startswith("background"):
+        elif step == _BACKGROUND_STEP:
             axes.set(ylim=(min(0.0, float(curves[-1][2].min())), top), xlim=(0.0, places[-1]))
-        axes.set(xlabel=step.partition(": ")[2], ylabel="events")
-        if step.startswith("pedestal"):
-            axes.set_ylabel("events, highest 1")
-        axes.set_title(step.partition(": ")[0], loc="left", fontsize=11)
+        axes.set(xlabel=unit, ylabel="events, highest 1" if step == _PEDESTAL else "events")
+        axes.set_title(step, loc="left", fontsize=11)
         style.open_axes(axes)
         style.legend(axes, loc="upper right")
     return style.Drawing(figure, "step spectrum place events".split(), rows)
 
 
-def _calibration_steps(histograms: Sequence[CalibratedHistogram]) -> dict[str, list[_Curve]]:
+def _calibration_steps(
+    histograms: Sequence[CalibratedHistogram],
+) -> dict[tuple[str, str], list[_Curve]]:
     """Curves of every step by its name and its unit; pedestals have the height 1."""
     first, steps = histograms[0], {}
     calibration = first.calibration
@@ -205,7 +208,7 @@ def _calibration_steps(histograms: Sequence[CalibratedHistogram]) -> dict[str, l
         if gain.fit.spread is not None:
             words = f"{pdg(gain.value, gain.sigma)} channels per photoelectron"
             curves.append((words, channels, np.diff(gain.fit.counts_below(_edges(channels)))))
-        steps["single photoelectrons: channel"] = curves
+        steps[_SINGLE, "channel"] = curves
     runs = [(h.spectrum, h.pedestal) for h in histograms[:_MOST_PEDESTALS]]
     if run is not None and pedestal is not None:
         runs = [(run, pedestal)]
@@ -216,11 +219,11 @@ def _calibration_steps(histograms: Sequence[CalibratedHistogram]) -> dict[str, l
         events = spectrum.counts[near] / max(float(spectrum.counts[near].max(initial=0.0)), 1.0)
         words = f"{spectrum.path.name}: {pdg(at.position, at.sigma or None)}"
         curves.append((words, spectrum.channels[near], events))
-    steps["pedestal: channel"] = curves
+    steps[_PEDESTAL, "channel"] = curves
     if first.background is not None:
         whole = (first.path.name, first.photons, first.counts + first.background)
         under = ("background in its live time", first.photons, first.background)
-        steps["background: photoelectrons"] = [
+        steps[_BACKGROUND_STEP, "photoelectrons"] = [
             whole,
             under,
             ("difference", first.photons, first.counts),
