@@ -18,8 +18,10 @@ from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_tabl
 from mcrim_mitsuba.campaign.parameter import (
     SCALE,
     CampaignParameter,
+    CommonErrors,
     LightYieldInput,
     known_ranges,
+    read_common_errors,
     read_detector,
     read_light_yield,
     read_parameter,
@@ -95,6 +97,8 @@ class Campaign:
     next_measurements: dict[str, Any] = field(default_factory=dict)
     #: All effects there are, the user's own included.
     catalogue: dict[str, Effect] = field(default_factory=catalogue)
+    #: What all readings of light share, by the calibration of channels.
+    common_errors: CommonErrors = field(default_factory=CommonErrors)
     #: What readings, priors and efficiency were made of; None where the files give them as
     #: numbers.
     raw: RawData | None = None
@@ -310,6 +314,7 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         effects_folder=folder,
         catalogue={**effects, **wrong},
         tolerances=tolerances,
+        common_errors=read_common_errors(document),
         raw=raw,
         beam=_read_beam(document, scene, measurements),
         executed=() if folder is None else (whose(folder),),

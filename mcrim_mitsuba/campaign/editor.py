@@ -30,6 +30,7 @@ from mcrim_mitsuba.core.files import attributes, beside, read_text, write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.effects.effect import OLD_NAMES
+from mcrim_mitsuba.laboratory.calibration import ChannelCalibration
 from mcrim_mitsuba.laboratory.light_yield import SCALE as TUBE_SCALE
 from mcrim_mitsuba.optics.absorption import Absorption
 
@@ -236,6 +237,13 @@ def _origins(raw: RawData) -> Iterator[str]:
             f"alpha_abs_per_cm: transmittance of {slab.thickness_mm:g} mm, {measured}; errors by "
             f"origin: {_parts(slab.contributions)}"
         )
+    if (digitiser := raw.calibration) is not None:
+        runs = (digitiser.gain.spectrum, digitiser.pedestal_run, digitiser.background)
+        named = _named(raw, (run.path for run in runs if run is not None)) or "numbers"
+        yield (
+            f"calibration: {named}; {digitiser.per_channel:.6g} photoelectrons per channel; "
+            f"relative errors by origin: {_parts(digitiser.parts)}"
+        )
     if raw.source_depth is not None:
         length = raw.source_depth
         yield (
@@ -360,7 +368,25 @@ def to_json(raw: RawData) -> dict[str, Any]:
             "formula energy_keV density_g_per_cm3 length_mm sigma_mm tables_sigma_mm "
             "process_sigma_mm",
         ),
+        "calibration": raw.calibration and calibration_json(raw.calibration),
         **attributes(raw, "numbers files notes"),
+    }
+
+
+def calibration_json(calibration: ChannelCalibration) -> dict[str, Any]:
+    """What turns channels into photoelectrons, and what the spectra for it said."""
+    of_fit = (
+        "pedestal mean mean_sigma crosstalk crosstalk_sigma afterpulsing afterpulsing_sigma spread "
+        "excess_noise_factor excess_noise_factor_sigma events chi2 ndf p_value"
+    )
+    return {
+        **attributes(calibration.gain, "value sigma"),
+        "single_photoelectrons": calibration.gain.fit and attributes(calibration.gain.fit, of_fit),
+        **attributes(
+            calibration,
+            "pedestal range_ratio range_ratio_sigma nonlinearity nonlinearity_sigma per_channel "
+            "scale_sigma offset_sigma",
+        ),
     }
 
 

@@ -32,6 +32,10 @@ YIELD_TABLE = "light_yield"
 HISTOGRAMS = "histograms"
 NEXT = "next_measurements"
 BEAM_TABLE = "beam"
+#: What turns channels into photoelectrons.
+CALIBRATION_TABLE = "calibration"
+SCALE_SIGMA = "scale_sigma"
+OFFSET_SIGMA = "offset_sigma"
 #: Crystals that are measured beside the campaign's own, and their scene parameters.
 SAMPLES = "samples"
 SAMPLE_SCENE = "scene"
@@ -72,6 +76,10 @@ def _words(meaning: str) -> dict[str, Any]:
 
 def _file(meaning: str) -> dict[str, Any]:
     return {**_FILE, "description": f"{meaning}; paths are relative to the campaign"}
+
+
+def _file_or(meaning: str, **limits: float) -> dict[str, Any]:
+    return {"description": meaning, "anyOf": [_FILE, {"type": "number", **limits}]}
 
 
 def _table(meaning: str, *entries: Entries) -> dict[str, Any]:
@@ -205,6 +213,29 @@ BEAM: Entries = {
 PEAKS: Entries = {
     "shape": {"enum": list(SHAPES), "description": "How the peaks of histograms are described"}
 }
+#: Of ``[calibration]``, of histograms in channels.
+CALIBRATION: Entries = {
+    "single_photoelectron": _file_or("Its spectrum, or channels per one", exclusiveMinimum=0),
+    "single_photoelectron_sigma": _number("Standard error of that number", minimum=0),
+    "crosstalk": {"type": "boolean", "description": "Whether it is fitted; else if resolved"},
+    "excess_noise_factor": _number("Mean and variance then tell the gain of a tube", minimum=1),
+    "excess_noise_factor_sigma": _number("Its standard error", minimum=0),
+    "pedestal": _file_or("Run in the dark, or the pedestal's channel; else every spectrum's own"),
+    "pedestal_sigma": _number("Standard error of that channel", minimum=0),
+    "range_ratio": _number("Of its range's gain to that of the light", exclusiveMinimum=0),
+    "range_ratio_sigma": _number("Its standard error", minimum=0),
+    "nonlinearity": _number("k of reading = true / (1 + k true), per photoelectron"),
+    "background": _file("Spectrum of the background, subtracted by live times"),
+    "background_live_time_s": _number("Its live time, s", exclusiveMinimum=0),
+    "live_time_s": _number("Live time of the readings' spectra, s", exclusiveMinimum=0),
+    "dead_time_us": _number("For how long an event makes blind; times are real ones", minimum=0),
+}
+#: Of ``[calibration]``: errors that all readings of light share, which the above make.
+COMMON: Entries = {
+    SCALE_SIGMA: _number("Relative error of the scale of all readings of light", minimum=0),
+    OFFSET_SIGMA: _number("Error of what is subtracted of all of them, in their unit", minimum=0),
+    "nonlinearity_sigma": _number("Error of their nonlinearity, one over their unit", minimum=0),
+}
 #: Of an entry of ``[tolerances]``.
 TOLERANCE: Entries = {
     SIGMA: _number("Standard uncertainty, in the unit of the name; 0: exact", minimum=0),
@@ -269,6 +300,7 @@ CAMPAIGN: Entries = {
         },
     },
     HISTOGRAMS: _table("How histograms become readings", PEAKS),
+    CALIBRATION_TABLE: _table("What channels of a digitiser stand for", CALIBRATION, COMMON),
     BEAM_TABLE: _table("The spectrophotometer, of readings of the kind transmittance", BEAM),
 }
 
@@ -277,12 +309,16 @@ RAW_TABLES = (
     (f"parameters.{ALPHA_ABS}", TRANSMITTANCE),
     (f"parameters.{SOURCE_DEPTH}", GAMMAS),
     (YIELD_TABLE, EFFICIENCY),
+    (CALIBRATION_TABLE, CALIBRATION),
 )
 #: Entries that name files, by table.
 FILE_ENTRIES = (
     (f"parameters.{ALPHA_ABS}", "transmittance"),
     (YIELD_TABLE, "emission"),
     (YIELD_TABLE, "quantum_efficiency"),
+    (CALIBRATION_TABLE, "single_photoelectron"),
+    (CALIBRATION_TABLE, "pedestal"),
+    (CALIBRATION_TABLE, "background"),
 )
 
 
@@ -319,6 +355,20 @@ _BEYOND = {
     SHARED_SIGMA: (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
     KNOWN_YIELD: ("is not above 0", "give photons per keV"),
     KNOWN_YIELD_SIGMA: ("is not above 0", "give the standard error of the light yield"),
+    "single_photoelectron": ("is not above 0", "give channels per photoelectron, or a spectrum"),
+    "excess_noise_factor": (
+        "is below 1",
+        "it is 1 + (spread / gain)^2 of a photoelectron's charge",
+    ),
+    "range_ratio": ("is not above 0", "give 20 where the light's range is 20 times coarser"),
+    "background_live_time_s": ("is not above 0", "give seconds"),
+    "live_time_s": ("is not above 0", "give seconds"),
+    "dead_time_us": ("is below 0", "give microseconds"),
+}
+_BEYOND |= {
+    name: ("is negative", "give a standard error")
+    for name in (*CALIBRATION, *COMMON)
+    if name.endswith("_sigma")
 }
 
 

@@ -8,15 +8,23 @@ from pathlib import Path
 
 from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign import raw_data
+from mcrim_mitsuba.campaign.calibration import read_calibration
 from mcrim_mitsuba.campaign.entries import SOURCE_DEPTH, choice
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_bytes, sha256
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.toml_document import TomlDocument
-from mcrim_mitsuba.laboratory.histogram import Histogram, read_histogram
+from mcrim_mitsuba.laboratory.calibration import (
+    ChannelCalibration,
+    fit_histogram,
+    photons_of,
+    read_photons,
+    window_of,
+)
+from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency
-from mcrim_mitsuba.laboratory.peak import AUTO, Peak, Repeated, combine, fit_peak
+from mcrim_mitsuba.laboratory.peak import AUTO, Peak, Repeated, combine
 from mcrim_mitsuba.optics.absorption import Absorption
 from mcrim_mitsuba.optics.gammas import AttenuationLength
 from mcrim_mitsuba.optics.materials import is_known
@@ -55,6 +63,12 @@ class Mounting:
     def use(self) -> bool:
         """Whether the reading rests on it."""
         return self.row.use
+
+    @property
+    def value(self) -> tuple[float, float]:
+        """Photons per event by its peak, and the standard error that no other mounting shares."""
+        assert self.peak is not None
+        return photons_of(self.histogram, self.peak)
 
     @property
     def file(self) -> Path:
@@ -97,13 +111,16 @@ class RawData:
     #: ``parameters.alpha_abs_per_cm.prior``.
     numbers: dict[str, float]
     files: tuple[RawFile, ...]
+    #: Of a digitiser's channels; None where histograms are of photoelectrons.
+    calibration: ChannelCalibration | None = None
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """What there is to draw: ``histograms``, ``spectra``, ``transmittance``."""
+        """What there is to draw: ``histograms``, ``calibration``, ``spectra``, ..."""
         absorption = self.absorption
         there = {
             "histograms": self.readings,
+            "calibration": self.calibration,
             "spectra": self.efficiency,
             "transmittance": absorption and absorption.spectra,
         }
@@ -113,7 +130,7 @@ class RawData:
     def notes(self) -> tuple[str, ...]:
         """What the reader must know before using the numbers."""
         notes = [note for reading in self.readings.values() for note in _notes_on(reading)]
-        for reduced in (self.efficiency, self.absorption):
+        for reduced in (self.calibration, self.efficiency, self.absorption):
             notes += () if reduced is None else reduced.notes
         return tuple(dict.fromkeys(notes))
 
@@ -122,17 +139,23 @@ class RawData:
 
 
 def _reduce_table(
-    table: Measurements, shape: str
+    table: Measurements, shape: str, calibration: ChannelCalibration | None
 ) -> tuple[list[Reading], dict[str, ReducedReading]]:
     """All readings of a measurement file, and by label what those from histograms were made of."""
     mountings = {
-        row.line: _mounting(table, row, row.histogram, shape)
+        row.line: _mounting(table, row, row.histogram, shape, calibration)
         for row in table.readings
         if row.histogram is not None
     }
     readings, reduced = [], {}
     for label, rows in table.by_label.items():
         reading = rows[0]
+        if calibration is not None and reading.histogram is None and not reading.of_beam:
+            problem = (
+                f"{label} is a number beside [{schema.CALIBRATION_TABLE}], whose errors all share"
+            )
+            mend = "name its histogram, or make it a campaign of its own"
+            raise table.refusal(reading, "signal", problem, mend)
         if reading.histogram is not None:
             reduced[label] = _reduced_reading([mountings[row.line] for row in rows])
             reading = reduced[label].reading
@@ -168,11 +191,17 @@ def _notes_on(reduced: ReducedReading) -> Iterator[str]:
         )
 
 
-def _mounting(table: Measurements, row: Reading, file: Path, shape: str) -> Mounting:
+def _mounting(
+    table: Measurements,
+    row: Reading,
+    file: Path,
+    shape: str,
+    calibration: ChannelCalibration | None,
+) -> Mounting:
     """A histogram with the peak that was fitted in it."""
-    histogram = read_histogram(file)
+    histogram = read_photons(file, calibration)
     try:
-        peak = fit_peak(histogram.photons, histogram.counts, shape=shape, window=row.window)
+        peak = fit_histogram(histogram, shape=shape, window=window_of(histogram, row.window))
     except InputError as error:
         if row.window is None:
             raise InputError(error.problem, error.mend, path=file) from None
@@ -188,7 +217,7 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
     """The mean of the mountings in use; of all, in a reading that is not used."""
     used = any(mounting.use for mounting in mountings)
     peaks = [
-        (place, mounting.peak)
+        (place, mounting.value)
         for place, mounting in enumerate(mountings)
         if mounting.peak is not None and (mounting.use or not used)
     ]
@@ -196,7 +225,7 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
         row = mountings[0].row
         problem = f"no histogram of {row.label}, which is not used, has a peak either"
         raise InputError(problem, "remove its rows", path=row.histogram)
-    combined = combine([p.centroid for _, p in peaks], [p.centroid_sigma for _, p in peaks])
+    combined = combine([value for _, (value, _) in peaks], [sigma for _, (_, sigma) in peaks])
     for outlier in combined.outliers:
         place, _ = peaks[outlier]
         mountings[place] = replace(mountings[place], consistent=False)
@@ -228,7 +257,8 @@ def reduce_raw_data(
     light = None if efficiency is None else efficiency.light
     absorption = raw_data.read_absorption(document, light, scene)
     source_depth = raw_data.read_source_depth(document)
-    readings, reduced = _reduce_table(table, shape or AUTO)
+    calibration = read_calibration(document)
+    readings, reduced = _reduce_table(table, shape or AUTO, calibration)
     measurements = table.with_readings(readings)
     if not (reduced or efficiency or absorption or source_depth):
         return raw_data.with_numbers(document, {}), measurements, None
@@ -236,7 +266,14 @@ def reduce_raw_data(
     names.append(document.table(f"parameters.{ALPHA_ABS}").get("n"))
     material = next((n for n in names if isinstance(n, str) and is_known(n)), None)
     raw = RawData(
-        reduced, efficiency, absorption, source_depth, material=material, numbers={}, files=()
+        reduced,
+        efficiency,
+        absorption,
+        source_depth,
+        material=material,
+        numbers={},
+        files=(),
+        calibration=calibration,
     )
     raw = replace(raw, numbers=_numbers(document, raw), files=tuple(_files(raw)))
     return raw_data.with_numbers(document, raw.numbers), measurements, raw
@@ -259,6 +296,10 @@ def _numbers(document: TomlDocument, raw: RawData) -> dict[str, float]:
     if raw.efficiency is not None:
         numbers["light_yield.detector_efficiency"] = raw.efficiency.value
         numbers["light_yield.detector_efficiency_sigma"] = raw.efficiency.sigma
+    if raw.calibration is not None:
+        key = schema.CALIBRATION_TABLE
+        numbers[f"{key}.{schema.SCALE_SIGMA}"] = raw.calibration.scale_sigma
+        numbers[f"{key}.{schema.OFFSET_SIGMA}"] = raw.calibration.offset_sigma
     return {name: float(f"{value:.{_DIGITS}g}") for name, value in numbers.items()}
 
 
@@ -273,6 +314,10 @@ def _files(raw: RawData) -> Iterator[RawFile]:
         ]
     if raw.absorption is not None:
         named += [("transmittance", Path(curve.name)) for curve in raw.absorption.spectra]
+    if (of := raw.calibration) is not None:
+        runs = (of.gain.spectrum, of.pedestal_run, of.background)
+        roles = ("single photoelectrons", "pedestal", "background")
+        named += [(role, run.path) for role, run in zip(roles, runs, strict=True) if run]
     for label, reading in raw.readings.items():
         named += [(f"histogram of {label}", mounting.file) for mounting in reading.mountings]
     for role, path in named:

@@ -21,21 +21,21 @@ from mcrim_mitsuba.core.files import refuse_to_replace
 @options.campaign
 @options.output("NEW.toml", "The campaign in plain numbers, its readings beside it (NEW.csv).")
 @options.figure(
-    "the histograms with their peaks (and NAME_spectra, the detector's efficiency, and "
-    "NAME_transmittance, the absorption)"
+    "the histograms with their peaks (and NAME_calibration, from channels to photoelectrons, "
+    "NAME_spectra, the detector's efficiency, and NAME_transmittance, the absorption)"
 )
 @options.json_output
 def reduce(campaign, path, figure, json_file) -> None:
     """Reduce the raw data of CAMPAIGN (TOML), every step with its errors.
 
-    Histograms become readings (photons per event; repeated mountings their mean), emission and
-    quantum efficiency the detector's efficiency, transmittance the absorption (1/cm), the
-    source's gammas the depth of the source (mm). All commands do this by themselves; here it is
-    shown.
+    Histograms become readings (photons per event, of a digitiser's channels by [calibration];
+    repeated mountings their mean), emission and quantum efficiency the detector's efficiency,
+    transmittance the absorption (1/cm), the source's gammas the depth of the source (mm). All
+    commands do this by themselves; here it is shown.
     """
     from mcrim_mitsuba.campaign.editor import plain_texts, readings_beside
 
-    written, pictures = {}, ("spectra", "transmittance")
+    written, pictures = {}, ("calibration", "spectra", "transmittance")
     if path is not None:
         beside = readings_beside(Path(path))
         written = {"--output": (path, (".toml",))}

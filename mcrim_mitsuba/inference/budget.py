@@ -49,6 +49,8 @@ def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, Erro
             origin = _PRIORS.get(parameter.name, f"prior, {parameter.name}")
             moved = quantities.slopes @ fit.covariance[:, i] / parameter.prior_sigma
             parts[origin] = np.abs(moved)
+    moved = pulled @ minimum.weights.errors.pedestal
+    parts["pedestal"] = np.sqrt(np.square(moved).sum(axis=1))
     parts["monte_carlo"] = quantities.sigmas
     of_numbers = np.abs(quantities.by_tolerances)
     whole = np.sqrt(np.square([*parts.values(), *of_numbers]).sum(axis=0))

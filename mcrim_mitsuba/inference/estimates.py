@@ -34,8 +34,8 @@ class ParameterEstimate:
     #: statistic's curvature, and the interval is one-sided.
     at_bound: str | None
     #: `sigma` by origin: ``statistical`` (readings, what mountings share included),
-    #: ``prior``, ``monte_carlo``, ``tolerances`` where the campaign has any and, for the light
-    #: yield, ``detector_efficiency``; they add up in quadrature.
+    #: ``prior``, ``monte_carlo``, ``pedestal`` and ``tolerances`` where the campaign has any and,
+    #: for the light yield, ``detector_efficiency``; they add up in quadrature.
     contributions: dict[str, float]
     #: The part ``detector_efficiency`` by its own origins, where the campaign has the spectra;
     #: None elsewhere.
@@ -140,6 +140,8 @@ def estimates(minimum: Minimum) -> dict[str, ParameterEstimate]:
         "prior": covariance**2 @ statistic.prior_weight,
         "monte_carlo": np.square(response @ errors.simulated).sum(axis=1),
     }
+    if errors.pedestal.size:
+        variances["pedestal"] = np.square(response @ errors.pedestal).sum(axis=1)
     if errors.tolerances.size:
         variances["tolerances"] = np.square(response @ errors.tolerances).sum(axis=1)
     parameters = {}

@@ -84,6 +84,9 @@ class ErrorMatrices:
     #: (used, tolerances) float64: What a standard uncertainty of each number of the bench does to
     #: the predictions; an offset of each has been integrated out.
     tolerances: Array
+    #: (used, sources) float64: What the errors of the pedestal, and of the readout's nonlinearity,
+    #: that all readings of light share do to them.
+    pedestal: Array
     #: (used, used) float64: Covariance of what no parameter explains, if it is to be weighed.
     unexplained: Array | None = None
 
@@ -98,8 +101,8 @@ class ErrorMatrices:
 
     @property
     def predicted(self) -> Array:
-        """(used, sources + tolerances) errors of the predictions, all of them independent."""
-        return np.hstack([self.simulated, self.tolerances])
+        """(used, sources) errors of predictions, and what readings share: all independent."""
+        return np.hstack([self.simulated, self.tolerances, self.pedestal])
 
     @property
     def total(self) -> Array:
@@ -243,6 +246,7 @@ class Statistic:
         self.variance = np.array([reading.sigma for reading in used]) ** 2
         # relative error that a mounting's readings share, and the number of the mounting
         self._shared = np.array([reading.group_sigma or 0.0 for reading in used])
+        self._of_light = np.array([not reading.of_beam for reading in used], bool)
         groups = [reading.group or "" for reading in used]
         self._mountings = np.unique(groups, return_inverse=True)[1]
 
@@ -398,13 +402,25 @@ class Statistic:
             self._mountings,
             per_eta[:, None] * prediction.eta_errors[self.used],
             tolerances,
+            self._of_pedestal(signal),
             None if self._unexplained is None else self._unexplained * np.outer(signal, signal),
         )
 
     def errors_before_any_fit(self) -> ErrorMatrices:
         """Covariance without a model: shared errors from the readings, no Monte Carlo error."""
         none = np.zeros((len(self.signal), 0))
-        return ErrorMatrices(self.variance, self._shared * self.signal, self._mountings, none, none)
+        return ErrorMatrices(
+            self.variance,
+            self._shared * self.signal,
+            self._mountings,
+            none,
+            none,
+            self._of_pedestal(self.signal),
+        )
+
+    def _of_pedestal(self, signal: Array) -> Array:
+        """(used, sources) what all readings of light share by their calibration."""
+        return self.model.campaign.common_errors.moved(signal, self._of_light)
 
     def residuals(self, prediction: Prediction) -> Array:
         """(used,) reading minus predicted signal."""

@@ -253,6 +253,10 @@ ADVICE: dict[str, Advice] = {
         "a measurement on this very crystal, the spectrometer corrected with a calibrated lamp"
     ),
     "collection_efficiency": Advice("the spectrum of single photoelectrons, at this threshold"),
+    "photoelectron scale": Advice(
+        "single photoelectrons: more events; the ranges' ratio: one pulse in both"
+    ),
+    "pedestal": Advice("a longer run in the dark, before and after"),
     "crosstalk": Advice("dark counts against the threshold, at this overvoltage"),
     "tolerances": Advice("the bench's numbers, measured again"),
     "tolerance": Advice("this number, measured again"),

@@ -7,8 +7,7 @@ centres and the counts; one column is the number of photons of every event.
 from __future__ import annotations
 
 import math
-import re
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,15 @@ from mcrim_mitsuba.core.data_table import DataTable, read_data_table
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import FWHM
+from mcrim_mitsuba.laboratory.columns import (
+    INSTRUMENTS,
+    counts_alone,
+    refuse_numbered,
+    refuse_other_columns,
+    refuse_photoelectrons,
+    refuse_uncalibrated,
+    uncalibrated,
+)
 
 #: Part of its height to which the counts must fall beside a peak that is alone.
 SHALLOW = 0.5
@@ -49,18 +57,14 @@ class Found:
     high_level: float = 0.0
 
 
-def main_peak(values: Array, counts: Array) -> Found | None:
+def main_peak(values: Array, counts: Array, variances: Array | None = None) -> Found | None:
     """The main peak: of the large ones that of the highest value; None where none stands out.
 
-    Bin centres ascend, all bins of one width.
+    Bin centres ascend, all bins of one width; `variances`, (bins,), where they are not Poisson's.
     """
-    smooth, smoothing, tops, widths, prominences = _smoothed_peaks(counts)
-    # Poisson's, of counts that a Gaussian has smoothed
-    noise = np.sqrt(np.maximum(smooth[tops], 1.0) / (2 * math.sqrt(math.pi) * smoothing))
-    clear = prominences > _STANDS_OUT * noise
-    if not clear.any():
+    smooth, tops, _, areas = _clear_peaks(counts, variances)
+    if not len(tops):
         return None
-    tops, areas = tops[clear], (prominences * widths)[clear]
     main = np.flatnonzero(areas >= _LARGE * areas.max())[-1]
     top, bin_width = tops[main], values[1] - values[0]
     height, half_width = _half_width(smooth, top)
@@ -80,6 +84,31 @@ def main_peak(values: Array, counts: Array) -> Found | None:
         low_level=float((smooth[low] - base) / height) if low > 0 else 0.0,
         high_level=float((smooth[high] - base) / height) if high > top else 0.0,
     )
+
+
+def clear_peaks(
+    values: Array, counts: Array, variances: Array | None
+) -> list[tuple[float, float, float]]:
+    """Place, standard deviation and roughly the events of all peaks that stand out, ascending.
+
+    As `main_peak` takes them; places and deviations are in the unit of the bins.
+    """
+    step = float(values[1] - values[0])
+    _, tops, widths, areas = _clear_peaks(counts, variances)
+    found = zip(values[tops].tolist(), (widths * step / FWHM).tolist(), areas.tolist(), strict=True)
+    return list(found)
+
+
+def _clear_peaks(
+    counts: Array, variances: Array | None
+) -> tuple[Array, NDArray[Any], Array, Array]:
+    """Smoothed counts, and of peaks that stand out of them places, widths (bins) and areas."""
+    smooth, smoothing, tops, widths, prominences = _smoothed_peaks(counts)
+    # of counts that a Gaussian has smoothed
+    of_counts = smooth[tops] if variances is None else variances[tops]
+    noise = np.sqrt(np.maximum(of_counts, 1.0) / (2 * math.sqrt(math.pi) * smoothing))
+    clear = prominences > _STANDS_OUT * noise
+    return smooth, tops[clear], widths[clear], (prominences * widths)[clear]
 
 
 def _smoothed_peaks(counts: Array) -> tuple[Array, float, NDArray[Any], Array, Array]:
@@ -213,19 +242,6 @@ _LARGEST_CENTRE = 1e12
 _MOST_COUNTS = 1e15
 #: Bins may be coulombs.
 _NARROWEST = 1e-30
-#: First columns of spectra and of traces, and second ones of what each event gave.
-_NO_BINS = re.compile(r"wave.?(length|number)|lambda|λ|wellenl|длина|time(?!.?over)|zeit|время")
-_NO_BIN_UNITS = ("nm", "µm", "Å", "eV", "1/cm", "s", "ms", "min", "h")
-_PER_EVENT = re.compile(
-    r"photon|\bamp|charge|ladung|(?<![a-z])p\.?h?\.?e(?![a-z])|electron|volt|height|area"
-)
-_PER_EVENT_UNITS = ("pe", "p.e.", "phe", "v", "mv", "pc", "fc")
-_OF_BINS = re.compile(r"count|event|entr|hits|freq|anzahl|häufig")
-#: Numbered events: more than this part of neighbours differs by more than 3 standard errors,
-_JUMPS = 0.05
-#: and all are in no order: the ratio of von Neumann (Ann. Math. Stat. 12 (1941) 367) of their ranks
-#: is 1.
-_ORDERLESS = (0.8, 1.2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +258,7 @@ class Histogram:
     counts: Array
 
 
-def read_histogram(path: str | Path) -> Histogram:
+def read_histogram(path: str | Path, *, channels: bool = False) -> Histogram:
     """Read and check a histogram.
 
     Two columns: bin centres (photons per event), ascending or descending, and counts. Or one
@@ -250,15 +266,31 @@ def read_histogram(path: str | Path) -> Histogram:
     bins after Freedman and Diaconis, or a fifth of the main peak's standard deviation where those
     are too wide for it, of a width that the steps of the numbers divide.
 
-    Raises InputError, with file and line, if anything cannot be used.
+    With `channels` the bins are a digitiser's channels, which a calibration turns into
+    photoelectrons; one column named counts then has those of the channels from 0.
+
+    Raises InputError, with file and line, if anything cannot be used; if the bins are channels or
+    may be, unless they are to be, and the other way round.
     """
+    if (suffix := Path(path).suffix.lower()) in INSTRUMENTS and not channels:
+        raise uncalibrated(f"{suffix} files hold channels of a digitiser", Path(path))
     table = read_data_table(path, roles=_ROLES, limit_mb=_LIMIT_MB)
     columns = table.values.shape[1]
     if columns > 2:
         mend = "keep the bin centres and the counts"
         raise table.refusal(0, None, f"{columns} columns, not 2", mend)
     _refuse_huge(table)
+    if columns == 1 and counts_alone(table):
+        numbered = np.column_stack([np.arange(len(table.values)), table.values])
+        if not channels:
+            raise uncalibrated("a column of counts has those of a digitiser's channels", table.path)
+        table = replace(table, values=numbered.astype(float), names=None)
+        columns = 2
     photons, counts = _binned(table) if columns == 1 else _checked(table)
+    if channels:
+        refuse_photoelectrons(table)
+    else:
+        refuse_uncalibrated(table, photons, counts)
     return Histogram(table.path, table.comments, photons, counts)
 
 
@@ -273,51 +305,10 @@ def _refuse_huge(table: DataTable) -> None:
             raise table.refusal(int(bad[0]), column, problem, f"write numbers up to {limit:g}")
 
 
-def _refuse_other_columns(table: DataTable) -> None:
-    """Refuse columns whose names are those of a spectrum, a trace or a list of events."""
-    if table.names is None:
-        return
-    (bins, events), (unit, other) = table.names, table.units
-    first, second = bins.lower(), events.lower()
-    if _NO_BINS.search(first) or unit in _NO_BIN_UNITS:
-        problem = f"the first column, {bins}, is not what an event gave"
-        mend = "write bin centres in photons per event, and how many events each bin has"
-        raise InputError(problem, mend, path=table.path)
-    listed = first.startswith(("event", "trigger")) and "photon" in second
-    given = _PER_EVENT.search(second) or (other or "").lower() in _PER_EVENT_UNITS
-    if listed or (given and not _OF_BINS.search(second)):
-        raise InputError(
-            f"the second column, {events}, holds no numbers of events: this looks like a list of "
-            "numbered events",
-            f"keep the column {events} alone, or write bin centres first and then counts",
-            path=table.path,
-        )
-
-
-def _refuse_numbered(table: DataTable) -> None:
-    """Refuse counts that jump from bin to bin in no order: a list of numbered events."""
-    counts = table.values[:, 1]
-    if len(counts) < _FEWEST_EVENTS:
-        return
-    # part of the steps that are larger than three standard errors of the counts
-    jumps = np.mean(np.diff(counts) ** 2 > 9.0 * (counts[1:] + counts[:-1]))
-    # von Neumann's ratio of ranks: 1 where neighbours know nothing of each other, 0 if all rise
-    _, ranks = np.unique(counts, return_inverse=True)
-    variance = ranks.var()
-    order = np.mean(np.diff(ranks) ** 2) / (2.0 * variance) if variance else 0.0
-    if jumps > _JUMPS and _ORDERLESS[0] < order < _ORDERLESS[1]:
-        raise InputError(
-            f"the counts of {len(counts)} bins jump from bin to bin in no order: this looks like "
-            "a list of numbered events",
-            "keep the second column alone; if most bins of a histogram are empty, join bins",
-            path=table.path,
-        )
-
-
 def _checked(table: DataTable) -> tuple[Array, Array]:
     """Bin centres and counts, ascending."""
     photons, counts = table.values.T
-    _refuse_other_columns(table)
+    refuse_other_columns(table)
     bad = np.flatnonzero((counts < 0) | (counts != np.floor(counts)))
     if len(bad):
         count = float(counts[bad[0]])
@@ -362,7 +353,7 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
         )
     if not counts.any():
         raise InputError("all bins are empty", "name another file", path=table.path)
-    _refuse_numbered(table)
+    refuse_numbered(table)
     return (photons[::-1].copy(), counts[::-1].copy()) if falls else (photons, counts)
 
 

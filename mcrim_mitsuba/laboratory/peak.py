@@ -46,7 +46,13 @@ _NARROWER = 3.0
 
 
 def fit_peak(
-    values: Array, counts: Array, *, shape: str = AUTO, window: tuple[float, float] | None = None
+    values: Array,
+    counts: Array,
+    *,
+    shape: str = AUTO,
+    window: tuple[float, float] | None = None,
+    variances: Array | None = None,
+    photoelectrons: bool = False,
 ) -> Peak | None:
     """Fit the main peak: of the large ones that of the highest value; None if none stands out.
 
@@ -58,20 +64,22 @@ def fit_peak(
     a Gaussian fits, narrower than the square root of its centroid, and "counting" does not.
     The window is the lowest and the highest bin centre to fit; unless given, it is chosen about the
     centroid, but not beyond the valleys to other peaks.
+    `variances`, (bins,), are those of counts from which others were subtracted. Bins that are known
+    to be `photoelectrons`, though no whole numbers, are counted too.
 
     Raises InputError if the shape is not known or not possible, or the window cannot be used.
     """
-    whole = numbers_per_bin(values) is not None
+    whole = photoelectrons or numbers_per_bin(values) is not None
     _check(values, shape, window, whole)
     if window is None:
-        place = main_peak(values, counts)
+        place = main_peak(values, counts, variances)
     else:
         inside = _inside(values, window)
         place = peak_inside(values[inside], counts[inside])
     if place is None:
         return None
     shapes = (COUNTING, GAUSSIAN) if whole else (GAUSSIAN,)
-    fits = {name: _fit_shape(values, counts, place, name, window) for name in shapes}
+    fits = {name: _fit_shape(values, counts, variances, place, name, window) for name in shapes}
     chosen = shape if shape != AUTO else _likely(fits)
     peak = fits.pop(chosen)
     if peak is None:
@@ -130,13 +138,22 @@ def _inside(values: Array, window: tuple[float, float]) -> NDArray[np.bool_]:
 
 
 def _fit_shape(
-    values: Array, counts: Array, place: Found, shape: str, given: tuple[float, float] | None
+    values: Array,
+    counts: Array,
+    variances: Array | None,
+    place: Found,
+    shape: str,
+    given: tuple[float, float] | None,
 ) -> Peak | None:
     """Fit one shape, again until its window stays the same."""
+
+    def fitted(inside: NDArray[np.bool_], start: Array) -> tuple[Peak, Array, bool]:
+        of_counts = None if variances is None else variances[inside]
+        return fit_band(values[inside], counts[inside], shape, start, of_counts)
+
     start = _start(shape, place, values)
     if given is not None:
-        inside = _inside(values, given)
-        only, _, clear = fit_band(values[inside], counts[inside], shape, start)
+        only, _, clear = fitted(_inside(values, given), start)
         return only if clear else None
     peak: Peak | None = None
     window = np.zeros(len(values), bool)
@@ -148,7 +165,7 @@ def _fit_shape(
         window = _inside(values, (max(low, place.low), min(high, place.high)))
         if window.sum() < _FEWEST_BINS or np.array_equal(window, before):
             break
-        peak, start, _ = fit_band(values[window], counts[window], shape, start)
+        peak, start, _ = fitted(window, start)
     return peak
 
 

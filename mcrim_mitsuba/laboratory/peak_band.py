@@ -28,17 +28,26 @@ _Model = Callable[[Array], tuple[Array, Array]]
 
 
 def _most_likely(
-    expected: _Model, counts: Array, start: Array, least: Array, most: Array
+    expected: _Model,
+    counts: Array,
+    start: Array,
+    least: Array,
+    most: Array,
+    variances: Array | None,
 ) -> tuple[Array, Array, Array, float]:
     """Parameters within bounds of the largest likelihood, expected counts, slopes and chi2.
 
-    Fisher's scoring, damped (`core.descent`).
+    Fisher's scoring, damped (`core.descent`); Poisson's likelihood, or Gauss' with `variances`.
     """
     filled = counts > 0
 
     def chi2_at(p: Array) -> tuple[float, Array, Array]:
         """chi2, half its gradient, and Fisher's information in place of the second derivatives."""
         of_model, slopes = expected(p)
+        if variances is not None:
+            missing = of_model - counts
+            weighed = slopes / variances
+            return float(missing @ (missing / variances)), weighed @ missing, weighed @ slopes.T
         ratio = np.log(counts[filled] / of_model[filled])
         chi2 = 2 * (np.sum(of_model - counts) + np.sum(counts[filled] * ratio))
         return float(chi2), slopes @ (1.0 - counts / of_model), (slopes / of_model) @ slopes.T
@@ -47,9 +56,9 @@ def _most_likely(
     return p, *expected(p), max(chi2, 0.0)
 
 
-def _inverse_information(slopes: Array, of_model: Array) -> Array:
+def _inverse_information(slopes: Array, variances: Array) -> Array:
     """Inverse of Fisher's information: the covariance of the parameters."""
-    information = (slopes / of_model) @ slopes.T
+    information = (slopes / variances) @ slopes.T
     # in units that make its diagonal 1
     size = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information * np.outer(size, size)
@@ -120,11 +129,15 @@ class Peak:
         return band.reshape(values.shape) + self.background_at(values)
 
 
-def fit_band(values: Array, counts: Array, shape: str, start: Array) -> tuple[Peak, Array, bool]:
+def fit_band(
+    values: Array, counts: Array, shape: str, start: Array, variances: Array | None = None
+) -> tuple[Peak, Array, bool]:
     """Fit all bins that are given.
 
     The background, given by what it is at both ends, is never negative: a peak of Poisson numbers
-    leans, which a line that may go below 0 would take up.
+    leans, which a line that may go below 0 would take up. Counts from which others were subtracted
+    come with their `variances`, (bins,): they are Gaussian, and what is left of a background may be
+    negative.
 
     It starts at, and also returns, events, centroid, spread as `peak_shapes.band` has it and the
     background at both ends; last, whether the peak stands out. Its warnings are left to others.
@@ -138,23 +151,26 @@ def fit_band(values: Array, counts: Array, shape: str, start: Array) -> tuple[Pe
         """Counts, and their (5, bins) derivatives."""
         density, slopes = peak_shapes.band(shape, values, p[1], p[2], bin_width)
         of_model = p[0] * bin_width * density + p[3:] @ ends
-        return np.maximum(of_model, 1e-6), np.vstack(
-            [bin_width * density, p[0] * bin_width * slopes, ends]
-        )
+        if variances is None:
+            of_model = np.maximum(of_model, 1e-6)
+        return of_model, np.vstack([bin_width * density, p[0] * bin_width * slopes, ends])
 
     if shape == GAUSSIAN:
         lowest, narrowest, widest = values[0], 0.2 * bin_width, np.ptp(values)
     else:
         lowest, narrowest, widest = max(values[0], 1e-3), 0.0, np.ptp(values) ** 2
-    least = np.array([0.0, lowest, narrowest, 0.0, 0.0])
+    emptiest = 0.0 if variances is None else -np.inf
+    least = np.array([0.0, lowest, narrowest, emptiest, emptiest])
     most = np.array([np.inf, values[-1], widest, np.inf, np.inf])
-    p, of_model, slopes, chi2 = _most_likely(expected, counts, start, least, most)
+    p, of_model, slopes, chi2 = _most_likely(expected, counts, start, least, most, variances)
     width = p[2] if shape == GAUSSIAN else math.sqrt(p[1] + p[2])
     height = p[0] * bin_width / (width * math.sqrt(2 * math.pi))
     # a background at 0 stays there
     free = np.array([True, True, True, *(p[3:] > 1e-3 * math.sqrt(height))])
+    free |= variances is not None
     covariance = np.zeros((5, 5))
-    covariance[np.ix_(free, free)] = _inverse_information(slopes[free], of_model)
+    of_counts = of_model if variances is None else variances
+    covariance[np.ix_(free, free)] = _inverse_information(slopes[free], of_counts)
     ndf = int(len(values) - free.sum())
     p_value = float(chdtrc(ndf, chi2))
     worse = max(chi2 / ndf, 1.0) if p_value < LEAST_P else 1.0

@@ -33,11 +33,12 @@ def band(
 ) -> tuple[Array, Array]:
     """Density per unit of the bins, and its (2, bins) derivatives by centroid and spread.
 
-    The spread is the width of a Gaussian, or the variance of the mean number of photons.
+    The spread is the width of a Gaussian, or the variance of the mean number of photons. Bins that
+    are narrower than a photon, as of calibrated channels, take the density at their centres.
     """
     if shape == GAUSSIAN:
         return gaussian(values, centroid, spread)
-    return counting(values, centroid, spread, round(bin_width))
+    return counting(values, centroid, spread, max(round(bin_width), 1))
 
 
 def gaussian(values: Array, centroid: float, width: float) -> tuple[Array, Array]:

@@ -171,7 +171,8 @@ def numbers_of_bench(fit: Calibration) -> Iterator[Piece]:
 
 def _origins(fit: Calibration) -> Iterator[Piece]:
     """Where the errors of a fit come from; parameters at a bound have none that mean anything."""
-    origins = (*_ORIGINS, *(["tolerances"] if fit.offsets else []))
+    named = {origin for estimate in fit.parameters.values() for origin in estimate.contributions}
+    origins = (*_ORIGINS, *(name for name in ("pedestal", "tolerances") if name in named))
     columns = ("parameter", *(name.replace("_", " ") for name in origins))
     rows = []
     for name, estimate in fit.parameters.items():

@@ -27,6 +27,8 @@ from mcrim_mitsuba.output.description import (
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.reduction import Mounting, RawData
+    from mcrim_mitsuba.laboratory.calibration import ChannelCalibration
+    from mcrim_mitsuba.laboratory.energy_scale import Line
     from mcrim_mitsuba.laboratory.error_budget import CommonValue, ErrorBudget, Uncertain
     from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency, RelativeMeasurement
     from mcrim_mitsuba.laboratory.peak import Repeated
@@ -79,6 +81,38 @@ def histograms_pieces(raw: RawData) -> list[Piece]:
         return []
     heads = ("reading", Column("histogram", left=True))
     return [_peaks("peaks of the histograms", heads, peaks), *_means("readings", "reading", means)]
+
+
+def calibration_pieces(calibration: ChannelCalibration) -> list[Piece]:
+    """What turns channels into photoelectrons: gain, pedestal, ratio of the ranges, errors."""
+    fit, pedestal = calibration.gain.fit, calibration.pedestal
+    numbers = {"channels per photoelectron": (calibration.gain.value, calibration.gain.sigma)}
+    if fit is not None:
+        numbers |= {
+            "photoelectrons in its spectrum, mean": (fit.mean, fit.mean_sigma),
+            "excess noise factor": (fit.excess_noise_factor, fit.excess_noise_factor_sigma),
+            "pedestal of its spectrum, channel": (fit.pedestal.position, fit.pedestal.sigma),
+        }
+        if fit.crosstalk is not None:
+            numbers["crosstalk"] = (fit.crosstalk, fit.crosstalk_sigma or 0.0)
+        if fit.afterpulsing is not None:
+            numbers["afterpulsing"] = (fit.afterpulsing, fit.afterpulsing_sigma or 0.0)
+    numbers["ratio of the ranges"] = (calibration.range_ratio, calibration.range_ratio_sigma)
+    if calibration.nonlinearity:
+        k = (calibration.nonlinearity, calibration.nonlinearity_sigma)
+        numbers["nonlinearity, per photoelectron"] = k
+    if pedestal is not None:
+        numbers["pedestal of the light, channel"] = (pedestal.position, pedestal.sigma)
+    rows = [(name, pdg(value, sigma or None)) for name, (value, sigma) in numbers.items()]
+    if pedestal is None:
+        rows.append(("pedestal of the light", "every spectrum's own"))
+    if fit is not None and fit.chi2 is not None:
+        rows.append(("chi2 / ndf of single photoelectrons", f"{number(fit.chi2)} / {fit.ndf}"))
+    return [
+        table("from channels to photoelectrons", ("calibration", Column("", left=True)), rows),
+        f"all readings share {100 * calibration.scale_sigma:.2g} % of scale, which is the light "
+        f"yield's alone, and {calibration.offset_sigma:.2g} photoelectrons of pedestal",
+    ]
 
 
 def _name(mounting: Mounting) -> str:
@@ -183,6 +217,7 @@ def of_reduction(raw: RawData) -> Description:
     """Every step from raw data to readings, efficiency and priors, with its errors."""
     return described(
         "reduction of raw data",
+        calibration_pieces(raw.calibration) if raw.calibration else None,
         histograms_pieces(raw),
         efficiency_pieces(raw.efficiency) if raw.efficiency else None,
         absorption_pieces(raw.absorption) if raw.absorption else None,
@@ -199,6 +234,8 @@ def of_peaks(
     combined: Repeated | None,
     notes: Sequence[str],
     widths: Mapping[str, Sequence[WidthParts]],
+    calibration: ChannelCalibration | None = None,
+    lines: Mapping[str, Sequence[Line]] | None = None,
 ) -> Description:
     """The main peak of every histogram, what several mountings make together, and the widths."""
     count = sum(histogram.peak is not None for histogram in fitted)
@@ -218,11 +255,47 @@ def of_peaks(
     )
     return described(
         "peaks of histograms",
+        calibration_pieces(calibration) if calibration else None,
         _peaks(title, ("histogram",), peaks, _PEAK_ALONE) if count else None,
         mean,
+        lines_pieces(lines) if lines else None,
         _widths(widths) if widths else None,
         notes=(*notes, *too_wide),
     )
+
+
+def lines_pieces(lines: Mapping[str, Sequence[Line]]) -> list[Piece]:
+    """Lines of known energies: photons per keV, and their widths by origin."""
+    from mcrim_mitsuba.laboratory.energy_scale import intrinsic_width
+
+    heads = "histogram keV photons /keV relative FWHM,% counting,% single,% rest,%".split()
+    rows, words = [], []
+    for name, of_file in lines.items():
+        for line in of_file:
+            width = line.width
+            parts = (width.total, width.counting, width.place, width.rest)
+            rows.append(
+                (
+                    name,
+                    f"{line.energy_keV:g}",
+                    measured(line.photons, line.photons_sigma),
+                    shown(line.per_keV, ".4g"),
+                    measured(line.relative, line.relative_sigma or None),
+                    *(measured(part.fwhm, part.sigma, 100.0) for part in parts),
+                )
+            )
+        if (fit := intrinsic_width(of_file)) is not None:
+            intrinsic, counted = fit
+            words.append(
+                f"{name}: the squares of the widths over 1 / N are a line: intrinsic FWHM "
+                f"{measured(intrinsic.fwhm, intrinsic.sigma, 100.0).text} %, {counted:.3g} / N"
+            )
+    return [
+        table("lines: light per energy, and widths by origin", heads, rows),
+        "relative: photons per keV over those of the highest energy, which are the crystal's "
+        "non-proportionality (and what the readout adds)",
+        *words,
+    ]
 
 
 #: Standard errors by which parts may exceed the whole without a word.

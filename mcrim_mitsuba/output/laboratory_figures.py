@@ -13,7 +13,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mcrim_mitsuba.campaign.reduction import Mounting, RawData
+from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.core.rounding import number, pdg
+from mcrim_mitsuba.laboratory.calibration import CalibratedHistogram
+from mcrim_mitsuba.laboratory.energy_scale import Line, intrinsic_width
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.light_yield import SCALE, DetectorEfficiency
 from mcrim_mitsuba.laboratory.peak import Peak
@@ -61,7 +64,10 @@ def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> style.Numbers:
             inside = (histogram.photons >= peak.low) & (histogram.photons <= peak.high)
             fit[inside] = peak.counts_at(histogram.photons[inside])
             background[inside] = peak.background_at(histogram.photons[inside])
-        cells = (name, histogram.photons, histogram.counts.astype(int), fit, background)
+        counts = histogram.counts
+        if np.array_equal(counts, np.floor(counts)):
+            counts = counts.astype(int)
+        cells = (name, histogram.photons, counts, fit, background)
         of_fit = (getattr(peak, field, None) for field in of_peak)
         rows += style.numbers_in(dict(zip(columns, (*cells, *of_fit), strict=True)))[1]
     return columns, rows
@@ -127,15 +133,16 @@ def _styles(groups: Sequence[str | None]) -> list[tuple[str, object, str]]:
 
 
 def _draw_steps(axes: Axes, histogram: Histogram, colour: str) -> None:
-    """Steps, with the square roots of the counts as error bars."""
-    photons, counts = histogram.photons, histogram.counts
-    half = 0.5 * (photons[1] - photons[0])
-    edges = np.append(photons - half, photons[-1] + half)
+    """Steps, with the standard errors of the counts as error bars."""
+    photons, counts, edges = histogram.photons, histogram.counts, _edges(histogram.photons)
+    variances = counts
+    if isinstance(histogram, CalibratedHistogram) and histogram.variances is not None:
+        variances = histogram.variances
     axes.stairs(counts, edges, color=colour, lw=1.2, zorder=2)
     axes.stairs(counts, edges, color=colour, fill=True, alpha=0.10, lw=0, zorder=1)
     some = slice(None, None, -(-len(photons) // _MOST_BARS))
     look: dict[str, Any] = {"fmt": "none", "ecolor": colour, "elinewidth": 0.9, "zorder": 2}
-    axes.errorbar(photons[some], counts[some], yerr=np.sqrt(counts[some]), **look)
+    axes.errorbar(photons[some], counts[some], yerr=np.sqrt(variances[some]), **look)
 
 
 def _label(name: str, peak: Peak | None) -> str:
@@ -147,6 +154,87 @@ def _label(name: str, peak: Peak | None) -> str:
         f"{name}: centroid {pdg(peak.centroid, peak.centroid_sigma)}\n"
         f"({peak.shape}, χ² = {number(peak.chi2)}, ndf {peak.ndf})"
     )
+
+
+# From channels to photoelectrons: single photoelectrons, pedestals, the background.
+
+#: What is drawn of a spectrum: its label, places (channels or photoelectrons) and events.
+_Curve = tuple[str, np.ndarray, np.ndarray]
+_SINGLE = "single photoelectrons"
+_PEDESTAL = "pedestal"
+_BACKGROUND_STEP = "background"
+#: Spectra whose pedestals are drawn, at most, and widths of the noise around them.
+_MOST_PEDESTALS = 8
+_PEDESTAL_WIDTHS = 8.0
+
+
+@style.styled
+def draw_calibration(histograms: Sequence[Histogram]) -> style.Drawing:
+    """What calibrates histograms in channels: a panel for each step that there is."""
+    steps = _calibration_steps([h for h in histograms if isinstance(h, CalibratedHistogram)])
+    figure = style.canvas(7.2, 0.6 + 3.2 * len(steps))
+    panels = figure.subplots(len(steps), 1, squeeze=False)[:, 0]
+    rows: list[Sequence[object]] = []
+    for axes, ((step, unit), curves) in zip(panels, steps.items(), strict=True):
+        for (name, places, events), colour in zip(curves, itertools.cycle(_COLOURS), strict=False):
+            axes.stairs(events, _edges(places), color=colour, label=name)
+            rows += [(step, name, *row) for row in zip(places, events, strict=True)]
+        places, events = curves[0][1:]
+        # pedestals go out of the picture of what is subtracted
+        top = 1.4 * float(events[places > 0.1 * places[-1]].max(initial=1.0))
+        if step == _SINGLE:
+            axes.set(yscale="log", ylim=(0.5, 4.0 * float(events.max())))
+        elif step == _BACKGROUND_STEP:
+            axes.set(ylim=(min(0.0, float(curves[-1][2].min())), top), xlim=(0.0, places[-1]))
+        axes.set(xlabel=unit, ylabel="events, highest 1" if step == _PEDESTAL else "events")
+        axes.set_title(step, loc="left", fontsize=11)
+        style.open_axes(axes)
+        style.legend(axes, loc="upper right")
+    return style.Drawing(figure, "step spectrum place events".split(), rows)
+
+
+def _calibration_steps(
+    histograms: Sequence[CalibratedHistogram],
+) -> dict[tuple[str, str], list[_Curve]]:
+    """Curves of every step by its name and its unit; pedestals have the height 1."""
+    first, steps = histograms[0], {}
+    calibration = first.calibration
+    gain, pedestal, run = calibration.gain, calibration.pedestal, calibration.pedestal_run
+    if gain.spectrum is not None and gain.fit is not None:
+        filled = np.flatnonzero(gain.spectrum.counts)
+        inside = slice(filled[0], filled[-1] + 1)
+        channels, counts = gain.spectrum.channels[inside], gain.spectrum.counts[inside]
+        curves = [(gain.spectrum.path.name, channels, counts)]
+        if gain.fit.spread is not None:
+            words = f"{pdg(gain.value, gain.sigma)} channels per photoelectron"
+            curves.append((words, channels, np.diff(gain.fit.counts_below(_edges(channels)))))
+        steps[_SINGLE, "channel"] = curves
+    runs = [(h.spectrum, h.pedestal) for h in histograms[:_MOST_PEDESTALS]]
+    if run is not None and pedestal is not None:
+        runs = [(run, pedestal)]
+    curves = []
+    for spectrum, at in runs:
+        reach = _PEDESTAL_WIDTHS * max(at.width or 0.0, 1.0)
+        near = np.abs(spectrum.channels - at.position) < reach
+        events = spectrum.counts[near] / max(float(spectrum.counts[near].max(initial=0.0)), 1.0)
+        words = f"{spectrum.path.name}: {pdg(at.position, at.sigma or None)}"
+        curves.append((words, spectrum.channels[near], events))
+    steps[_PEDESTAL, "channel"] = curves
+    if first.background is not None:
+        whole = (first.path.name, first.photons, first.counts + first.background)
+        under = ("background in its live time", first.photons, first.background)
+        steps[_BACKGROUND_STEP, "photoelectrons"] = [
+            whole,
+            under,
+            ("difference", first.photons, first.counts),
+        ]
+    return steps
+
+
+def _edges(centres: np.ndarray) -> np.ndarray:
+    """Edges of bins of one width."""
+    half = 0.5 * (centres[1] - centres[0])
+    return np.append(centres - half, centres[-1] + half)
 
 
 # Spectra behind the detector's efficiency and the crystal's absorption.
@@ -317,13 +405,15 @@ MOST_HISTOGRAMS = 8
 
 
 def draw_raw_data(raw: RawData, kind: str) -> style.Drawing:
-    """A campaign's raw data of one kind: ``spectra``, ``transmittance`` or ``histograms``.
+    """A campaign's raw data of one kind, as `RawData.kinds` names it.
 
     Of too many histograms, the first mounting of every reading; the numbers are those of all.
     """
     if kind == "spectra":
         assert raw.efficiency is not None
         return draw_efficiency(raw.efficiency)
+    if kind == "calibration":
+        return draw_calibration([m.histogram for r in raw.readings.values() for m in r.mountings])
     if kind == "transmittance":
         assert raw.absorption is not None
         return draw_absorption(raw.absorption)
@@ -342,6 +432,48 @@ def _fitted(label: str, mounting: Mounting) -> FittedHistogram:
     return FittedHistogram(
         name if mounting.use else f"{name} (not used)", mounting.histogram, mounting.peak, label
     )
+
+
+@style.styled
+def draw_lines(lines: Mapping[str, Sequence[Line]]) -> style.Drawing:
+    """Light per energy over that of the highest line, and widths against the light."""
+    figure = style.canvas(9.6, 4.4)
+    left, right = figure.subplots(1, 2)
+    rows: list[Sequence[object]] = []
+    for (name, of_file), colour in zip(lines.items(), itertools.cycle(_COLOURS), strict=False):
+        look: dict[str, Any] = {"color": colour, "fmt": "o", "label": style.shortened(name, 26)}
+        cells = np.array(
+            [
+                [
+                    line.energy_keV,
+                    line.peak.centroid,
+                    line.relative,
+                    line.relative_sigma,
+                    fwhm,
+                    sigma,
+                ]
+                for line in of_file
+                for fwhm, sigma in [(line.width.total.fwhm, line.width.total.sigma)]
+            ]
+        )
+        energies, counts, relative, errors, fwhm, sigma = cells.T
+        left.errorbar(energies, relative, errors, **look)
+        right.errorbar(counts**-0.5, 100 * fwhm, 100 * sigma, **look)
+        rows += [(name, *row) for row in cells.tolist()]
+        if (fit := intrinsic_width(of_file)) is not None:
+            fine = np.linspace(0.0, 1.1 * float((counts**-0.5).max()), 100)
+            squares = fit[0].fwhm ** 2 + (FWHM * fine) ** 2 * fit[1]
+            words = f"intrinsic {100 * fit[0].fwhm:.2g} %, {fit[1]:.3g} / N"
+            right.plot(fine, 100 * np.sqrt(np.maximum(squares, 0)), color=colour, label=words)
+    left.set(xscale="log", xlabel="energy, keV", ylabel="photons per keV, highest line 1")
+    right.set(xlabel="1 / √N of N photons", ylabel="full width at half maximum, %")
+    right.set_xlim(left=0.0)
+    right.set_ylim(bottom=0.0)
+    for axes in (left, right):
+        style.open_axes(axes)
+        style.legend(axes)
+    columns = "histogram energy_keV photons relative relative_sigma fwhm fwhm_sigma".split()
+    return style.Drawing(figure, columns, rows)
 
 
 # Widths of peaks by their origins: a bar for every peak and every place where gammas stop.

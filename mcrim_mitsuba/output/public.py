@@ -557,7 +557,7 @@ def reduce(
     -------
     ReductionResult
         With ``readings``, ``efficiency``, ...; pictures are its ``kinds``: ``histograms``,
-        ``spectra``, ``transmittance``.
+        ``calibration``, ``spectra``, ``transmittance``.
     """
     from mcrim_mitsuba.campaign.editor import reduce as reduce_campaign
     from mcrim_mitsuba.output.campaign_results import ReductionResult

@@ -144,7 +144,7 @@ PRESENTERS = {
         describe=describe_laboratory.of_reduction,
         figures={
             kind: partial(laboratory_figures.draw_raw_data, kind=kind)
-            for kind in ("histograms", "spectra", "transmittance")
+            for kind in ("histograms", "calibration", "spectra", "transmittance")
         },
         names="campaign=campaign_path **steps plain_campaign=plain_path",
     ),

@@ -165,6 +165,7 @@ _SHOWN = {
     "cross-section": "vertical cut through the bench, to scale",
     "comparison": "readings beside what the model predicts, and the differences in standard errors",
     "histograms": "histograms of photons per event with their peaks",
+    "calibration": "channels of the digitiser: single photoelectrons, pedestal, background",
     "detector-efficiency": "emission and quantum efficiency",
     "transmittance": "transmittance and absorption coefficient",
     "ranking": "effects by how much of the misfit each would explain",

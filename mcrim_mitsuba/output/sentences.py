@@ -523,6 +523,8 @@ _CALLED = {
     "tube scale": "the scale of the detector's efficiency",
     "emission spectrum": "the emission spectrum",
     "source depth": "the depth of the source",
+    "photoelectron scale": "the channels per photoelectron",
+    "pedestal": "the pedestal of the readings",
     "tolerances": "the bench's numbers",
     "tolerance": "the number",
     "monte_carlo": "the simulation",

@@ -349,7 +349,7 @@ def test_histograms_that_cannot_be_used_are_refused(tmp_path, text, says):
             + GOOD.replace(",", ",0;").replace("\n", "\r\n")
         ).encode(),
         ("sep=;\r\nphotons;events\r\n" + GOOD.replace(",", ";")).encode("utf-16"),
-        ("Live time 600 s\nchannel\tcounts\n" + GOOD.replace(",", "\t")).encode(),
+        ("Live time 600 s\nphotons\tcounts\n" + GOOD.replace(",", "\t")).encode(),
         "".join(
             sorted(GOOD.splitlines(keepends=True), key=lambda row: -int(row.split(",")[0]))
         ).encode(),
@@ -426,7 +426,7 @@ def test_columns_that_are_no_histogram_are_refused(tmp_path):
     ):
         path.write_text(f"{header}\n{GOOD}")
         assert says in refusal(read_histogram, path)
-    for header in ("photons,intensity", "charge (pC),entries", "n_pe,N", "bin,pulses"):
+    for header in ("photons,intensity", "charge (pC),entries", "n_pe,N", "x,pulses"):
         path.write_text(f"{header}\n{GOOD}")
         assert len(read_histogram(path).photons) == 20
 

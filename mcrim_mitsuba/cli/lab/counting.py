@@ -48,7 +48,25 @@ class _Window(options.Written):
     "auto: counting for bins of whole numbers, otherwise gaussian.",
     default="auto",
 )
-@option("--window", _Window(), "Bins to fit, in photons (default: chosen about the peak).")
+@option(
+    "--window",
+    _Window(),
+    "Bins to fit, in photons, or in channels with --calibration (default: chosen about the peak).",
+)
+@options.file(
+    "--calibration",
+    "Campaign, or a file with its table [calibration]: FILEs are in channels of a digitiser; how "
+    "they become photoelectrons is drawn as NAME_calibration.",
+    "calibration_file",
+    metavar="FILE.toml",
+)
+@option(
+    "--lines",
+    click.STRING,
+    "Energies of lines, as 59.5,661.7 in keV, that every FILE has: photons per keV, and "
+    "the resolution; drawn as NAME_lines.",
+    metavar="keV,keV",
+)
 @options.file(
     "--map",
     "Map of eta by `mcrim simulate --map`: split the peaks' widths into counted photoelectrons, "
@@ -60,84 +78,115 @@ class _Window(options.Written):
 @options.deposits
 @options.figure("the histograms with their fits")
 @options.json_output
-def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) -> None:
+def peak(
+    files, shape, window, calibration_file, lines, map_file, depth_mm, deposits, figure, json_file
+) -> None:
     """Centroid of the main peak in each histogram, in photons per event.
 
     \b
     mcrim lab peak air_1.csv air_2.csv air_3.csv air_4.csv --figure air.png
 
-    FILEs hold two columns, bin centre and counts, or one, the photons of every event. Several are
+    FILEs hold two columns, bin centre and counts, or one, the photons of every event; with
+    --calibration what digitisers write (.Spe, .n42, .chn, .cnf, .mca, .root too). Several are
     mountings of one configuration: their mean is given with the error of their scatter and that
     of the fits. A Gaussian that is fitted to counted photons finds the top of the band, below its
     mean: both centroids are shown.
     """
-    from mcrim_mitsuba.laboratory.histogram import read_histogram
-    from mcrim_mitsuba.laboratory.peak import fit_peak
+    from mcrim_mitsuba.campaign.calibration import calibration_of_file
+    from mcrim_mitsuba.campaign.editor import calibration_json
+    from mcrim_mitsuba.laboratory.calibration import (
+        fit_histogram,
+        photons_of,
+        read_photons,
+        window_of,
+    )
     from mcrim_mitsuba.output.laboratory_figures import (
         FittedHistogram,
+        draw_calibration,
         draw_histograms,
+        draw_lines,
         draw_widths,
     )
 
-    if shape not in _SHAPES:
-        meant = closest(shape, _SHAPES)
-        mend = f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}"
-        raise InputError(f"--shape {shape} is not known", mend)
+    _refuse_unknown(shape)
     if deposits and not map_file:
         raise InputError("--deposits says where gammas stop on a map", "give --map FILE.nc too")
-    inputs = [*files, *filter(None, (map_file, deposits))]
-    showing.refuse_places(json_file, inputs, figure, *(["widths"] if map_file else []))
+    inputs = [*files, *filter(None, (calibration_file, map_file, deposits))]
+    further = {"calibration": calibration_file, "lines": lines, "widths": map_file}
+    showing.refuse_places(json_file, inputs, figure, *(name for name, of in further.items() if of))
     _refuse_duplicates(files)
     names = [Path(file).name for file in files]
-    if len(set(names)) < len(names):
-        names = list(files)
-    histograms = [read_histogram(file) for file in files]
+    names = names if len(set(names)) == len(names) else list(files)
+    calibration = calibration_file and calibration_of_file(calibration_file)
     fitted = []
-    for name, histogram in zip(names, histograms, strict=True):
+    for name, file in zip(names, files, strict=True):
+        histogram = read_photons(file, calibration or None)
         with placed(path=histogram.path):
-            main = fit_peak(histogram.photons, histogram.counts, shape=shape, window=window)
+            within = window_of(histogram, window)
+            main = fit_histogram(histogram, shape=shape, window=within)
         fitted.append(FittedHistogram(name, histogram, main))
-    peaks = {histogram.name: histogram.peak for histogram in fitted if histogram.peak is not None}
-    without = [histogram for histogram in fitted if histogram.peak is None]
+    peaks = {of.name: of.peak for of in fitted if of.peak is not None}
     notes = [f"{name}: {words}" for name, peak in peaks.items() for words in peak.warnings]
-    combined, outliers, of_mean = _combined(peaks)
+    values = {name: photons_of(of, peak) for name, of, peak, _ in fitted if peak is not None}
+    combined, outliers, of_mean = _combined(values)
     notes += of_mean
-    found_in = zip(files, (histogram.peak for histogram in fitted), strict=True)
     document = {
         "histograms": [
-            {"file": file, "peak": peak and _peak_json(peak)} for file, peak in found_in
+            {"file": file, "peak": of.peak and _peak_json(of.peak)}
+            for file, of in zip(files, fitted, strict=True)
         ],
         "combined": combined and attributes(combined, _OF_MEAN) | {"outliers": outliers},
         "notes": notes,
     }
     pictures = {"histograms": lambda: draw_histograms(fitted)}
-    widths = _widths(peaks, map_file, depth_mm, deposits)
-    if widths:
+    if calibration:
+        document["calibration"] = calibration_json(calibration)
+        notes += calibration.notes
+        pictures["calibration"] = lambda: draw_calibration([of.histogram for of in fitted])
+    if widths := _widths(peaks, map_file, depth_mm, deposits):
         pictures["widths"] = lambda: draw_widths(widths)
         parts = [(name, width) for name, of_peak in widths.items() for width in of_peak]
         document["widths"] = [{"histogram": name, **asdict(width)} for name, width in parts]
-    shown = of_peaks(fitted, combined, notes, widths)
+    found, numbers = _lines(fitted, lines)
+    if found:
+        document["lines"], pictures["lines"] = numbers, lambda: draw_lines(found)
+    shown = of_peaks(fitted, combined, notes, widths, calibration, found)
     result = VerbResult(kind="peaks", shown=shown, numbers=document, drawings=pictures)
     showing.answer(result, json_file, figure)
-    if without:
-        mend = "let --window have the whole peak, and some background beside it"
-        if window is None:
-            mend = "measure longer, or show where it is with --window"
-        raise InputError("no peak stands out", mend, path=without[0].histogram.path)
+    for without in (histogram for histogram in fitted if histogram.peak is None):
+        mend = "measure longer, or show where it is with --window"
+        if window is not None:
+            mend = "let --window have the whole peak, and some background beside it"
+        raise InputError("no peak stands out", mend, path=without.histogram.path)
 
 
+_OF_LINE = "energy_keV photons photons_sigma per_keV relative relative_sigma width"
 _OF_MEAN = "mean sigma scatter_sigma internal_sigma chi2 ndf p_value consistent outliers warnings"
 
 
-def _combined(peaks: dict):
+def _lines(fitted: list, energies: str | None) -> tuple[dict, list[dict]]:
+    """Lines of these energies by histogram, and the same for JSON; nothing without energies."""
+    from mcrim_mitsuba.laboratory.energy_scale import lines_of
+
+    given = [parse_number("--lines", text) for text in energies.split(",")] if energies else []
+    if given and (min(given) <= 0 or len(set(given)) < len(given)):
+        raise InputError(f"--lines {energies} are no energies", "give each once, above 0 keV")
+    found = {of.name: lines_of(of.histogram, given) for of in fitted if given}
+    return found, [
+        {"histogram": name, **attributes(line, _OF_LINE), "peak": _peak_json(line.peak)}
+        for name, of_file in found.items()
+        for line in of_file
+    ]
+
+
+def _combined(values: dict[str, tuple[float, float]]):
     """The mean of several mountings, None of one; names of outliers among them, and notes."""
     from mcrim_mitsuba.laboratory.peak import combine
 
-    if len(peaks) < 2:
+    if len(values) < 2:
         return None, [], []
-    centroids = [peak.centroid for peak in peaks.values()]
-    combined = combine(centroids, [peak.centroid_sigma for peak in peaks.values()])
-    outliers = [list(peaks)[i] for i in combined.outliers]
+    combined = combine(*zip(*values.values(), strict=True))
+    outliers = [list(values)[i] for i in combined.outliers]
     notes = list(combined.warnings)
     if outliers:
         notes.append(f"outlier: {', '.join(outliers)}")
@@ -167,6 +216,14 @@ def _widths(
         ]
         for name, peak in peaks.items()
     }
+
+
+def _refuse_unknown(shape: str) -> None:
+    """Refuse a shape that there is not."""
+    if shape not in _SHAPES:
+        meant = closest(shape, _SHAPES)
+        mend = f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}"
+        raise InputError(f"--shape {shape} is not known", mend)
 
 
 def _refuse_duplicates(files: tuple[str, ...]) -> None:

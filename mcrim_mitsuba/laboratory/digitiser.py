@@ -1,0 +1,150 @@
+"""Spectra in channels, as digitisers and multichannel analysers write them.
+
+Text, CSV and spreadsheets' exports are read as `histogram` says. The formats of instruments are
+read by SpecUtils (Sandia National Laboratories), histograms of ROOT by uproot: both come with
+``pip install 'mcrim-mitsuba[formats]'``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import read_bytes
+from mcrim_mitsuba.laboratory.columns import INSTRUMENTS
+from mcrim_mitsuba.laboratory.histogram import read_histogram
+
+_LIMIT_MB = 50
+_ROOT = ".root"
+_FEWEST_CHANNELS = 8
+_LIVE_TIME = re.compile(r"live[ _-]?time[^0-9.+-]*([0-9.]+(?:e[+-]?[0-9]+)?)", re.IGNORECASE)
+_INSTALL = "pip install 'mcrim-mitsuba[formats]'"
+_EXPORT = "or export it as two columns of text, channel and counts"
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelSpectrum:
+    """Events by the channel of a digitiser."""
+
+    #: The file.
+    path: Path
+    comments: tuple[str, ...]
+    #: (channels,) float64: Their numbers, ascending by one step; a channel's middle is its number.
+    channels: Array
+    #: (channels,) float64: Whole numbers of events.
+    counts: Array
+    _: KW_ONLY
+    #: How long events could be taken, s; None where the file does not say it.
+    live_time_s: float | None = None
+
+
+def read_channels(path: str | Path) -> ChannelSpectrum:
+    """Read a spectrum in channels, whatever wrote it.
+
+    Raises InputError, with file and line where there is one, if it cannot be used: text as
+    `read_histogram` says; other formats if what reads them is missing or fails, or if they hold
+    several spectra.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in INSTRUMENTS:
+        read = read_histogram(path, channels=True)
+        spectrum = ChannelSpectrum(
+            path, read.comments, read.photons, read.counts, live_time_s=_said(path, read.comments)
+        )
+    elif suffix == _ROOT:
+        spectrum = _of_root(path)
+    else:
+        spectrum = _of_instrument(path)
+    if not spectrum.counts.any():
+        raise InputError("all channels are empty", "name another file", path=path)
+    return spectrum
+
+
+def _said(path: Path, comments: tuple[str, ...]) -> float | None:
+    """The live time that a text's comments say, s."""
+    times = [match[1] for words in comments if (match := _LIVE_TIME.search(words))]
+    return _checked_time(path, float(times[0])) if times else None
+
+
+def _checked_time(path: Path, live_time_s: float) -> float:
+    """A live time above 0."""
+    if not live_time_s > 0:
+        problem = f"its live time is {live_time_s:g} s"
+        raise InputError(problem, "correct it, or remove it and give live_time_s", path=path)
+    return live_time_s
+
+
+def _reader(name: str, path: Path) -> Any:
+    """The module that reads a file, which is there and not too large."""
+    read_bytes(path, _LIMIT_MB)
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        problem = f"{path.suffix} files are read by {name}, which is not installed"
+        raise InputError(problem, f"{_INSTALL}, {_EXPORT}", path=path) from None
+
+
+def _of_instrument(path: Path) -> ChannelSpectrum:
+    """A spectrum by SpecUtils."""
+    SpecUtils = _reader("SpecUtils", path)  # noqa: N806
+    file = SpecUtils.SpecFile()
+    try:
+        file.loadFile(str(path), SpecUtils.ParserType.Auto)
+    except (RuntimeError, ValueError):
+        problem = f"SpecUtils finds no spectrum in it, as {path.suffix} or another format"
+        raise InputError(problem, f"is it whole? If so, {_EXPORT[3:]}", path=path) from None
+    spectra = [each for each in file.measurements() if each.numGammaChannels() >= _FEWEST_CHANNELS]
+    if len(spectra) != 1:
+        problem = f"{len(spectra)} spectra in one file"
+        raise InputError(problem, "give each a file of its own", path=path)
+    counts = np.array(spectra[0].gammaCounts(), float)
+    live_time_s, real_time_s = float(spectra[0].liveTime()), float(spectra[0].realTime())
+    said = live_time_s > 0 or real_time_s > 0
+    return ChannelSpectrum(
+        path,
+        (str(spectra[0].title()),),
+        np.arange(float(len(counts))),
+        _whole(path, counts),
+        live_time_s=_checked_time(path, live_time_s) if said else None,
+    )
+
+
+def _of_root(path: Path) -> ChannelSpectrum:
+    """The one histogram (TH1) of a ROOT file, its bins as they are numbered there."""
+    uproot = _reader("uproot", path)
+    histogram: Any = None
+    try:
+        with uproot.open(path) as file:
+            names = [name for name, of in file.classnames().items() if of.startswith("TH1")]
+            histogram = file[names[0]] if len(names) == 1 else None
+            if histogram is not None:
+                edges = np.asarray(histogram.axis().edges(), float)
+                counts = np.asarray(histogram.values(), float)
+    except Exception:  # of a broken file uproot raises what its parts do
+        raise InputError("uproot cannot read it", "is it whole?", path=path) from None
+    if histogram is None:
+        problem = f"{len(names)} histograms (TH1) in one file"
+        raise InputError(problem, "give each a file of its own", path=path)
+    steps = np.diff(edges)
+    if len(counts) < _FEWEST_CHANNELS or not np.allclose(steps, steps[0]):
+        problem = f"the histogram {names[0]} has {len(counts)} bins, or bins of several widths"
+        raise InputError(problem, f"give {_FEWEST_CHANNELS} of one width at least", path=path)
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    return ChannelSpectrum(path, (names[0],), centres, _whole(path, counts))
+
+
+def _whole(path: Path, counts: Array) -> Array:
+    """Counts, if they are whole numbers of events."""
+    bad = np.flatnonzero((counts < 0) | (counts != np.floor(counts)))
+    if len(bad):
+        problem = f"{counts[bad[0]]:g} counts in channel {bad[0]} are not a number of events"
+        raise InputError(problem, "take counts that are neither scaled nor subtracted", path=path)
+    return counts
