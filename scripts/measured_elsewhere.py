@@ -346,7 +346,9 @@ def draw(photons: int | None) -> None:
     left.hlines(
         models, [x - 0.3 for x in places], [x + 0.3 for x in places], color=DARK, label=label
     )
-    left.set_xticks(places, [row.label.replace(" ground", "\nground") for row in fit.rows])
+    left.set_xticks(
+        places, ["\n".join(row.label.replace(" and ", " + ").rsplit(" ", 1)) for row in fit.rows]
+    )
     left.tick_params(axis="x", labelsize=8)
     left.set(ylabel="light relative to all polished", title="GAGG bar, six finishes", ylim=(0, 2.1))
     left.legend(fontsize=9)
