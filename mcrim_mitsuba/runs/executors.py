@@ -384,7 +384,7 @@ class ProcessExecutor(PoolExecutor):
         self._pool = loky.get_reusable_executor(
             self._processes, timeout=IDLE_S, initializer=_begin, initargs=(os.getpid(),)
         )
-        return self._pool.submit(make_sent, pickled(unit))
+        return self._pool.submit(_make_in, os.getcwd(), pickled(unit))
 
     def result(self, future: Future[Contents], job: Job) -> Contents:
         try:
@@ -396,6 +396,12 @@ class ProcessExecutor(PoolExecutor):
 
     def give_up(self) -> None:
         self._pool.shutdown(wait=False, kill_workers=True)
+
+
+def _make_in(folder: str, sent: bytes) -> Contents:
+    """Make a unit that `pickled` gave, with paths from where they are meant: others serve later."""
+    os.chdir(folder)
+    return make_sent(sent)
 
 
 def _begin(parent: int) -> None:

@@ -485,6 +485,28 @@ def test_processes_of_this_machine_give_the_same_digits(scenes, tmp_path, monkey
     assert len(list(ProcessExecutor(2).do(jobs))) == len(units)
 
 
+def test_processes_that_began_elsewhere_see_the_scene_that_is_meant(here, scenes, monkeypatch):
+    """One named without its folder was read again where the process had begun: another's."""
+    monkeypatch.setattr(executors, "FEWEST", (2, 0))
+    etas = []
+    for name, n_gap in (("first", "1.0"), ("second", "1.46")):
+        (here / name).mkdir()
+        monkeypatch.chdir(here / name)
+        text = (scenes / "camoo4.xml").read_text()
+        line = '<default name="n_gap" value="'
+        before, after = text.split(line)
+        Path("bench.xml").write_text(before + line + n_gap + after[after.index('"') :])
+        scene = read_scene("bench.xml")
+        cache = RecordCache({"x": name}, here / "cache")
+        jobs = [Job(block(scene, first=n), cache) for n in range(2)]
+        done, _ = ProcessExecutor(2).do(jobs)
+        slow = next(iter(Executor().do(jobs[:1])))
+        (of,), (again,) = done.chunks.values(), slow.chunks.values()
+        assert all(np.array_equal(of.arrays[n], again.arrays[n]) for n in of.arrays)
+        etas.append(of.arrays)
+    assert any(not np.array_equal(etas[0][n], etas[1][n]) for n in etas[0])
+
+
 def test_few_units_are_done_by_processes_where_many_follow(tmp_path):
     """Else they are done here; and so is what takes less than starting processes does."""
 
