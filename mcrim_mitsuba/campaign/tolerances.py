@@ -12,7 +12,8 @@ what is usual for a number of its kind; with ``none = true`` it is exact.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,13 +28,15 @@ from mcrim_mitsuba.campaign.entries import (
 )
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, SOURCE_Z, THIN, judge, unit_of
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, SOURCE_Z, THIN, Value, judge, unit_of
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.effects.effect import WRONG, BenchNumber, Effect, EffectParameter
 from mcrim_mitsuba.effects.scene_edits import HEIGHT
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX
 
+#: Lowest and highest values by name, of numbers that the rest of the bench limits.
+Room = Mapping[str, tuple[float, float]]
 #: Standard uncertainties by which a number is moved either way to see what it does. Photons of both
 #: ends are the same; farther away what it does is less straight, nearer the photons tell less.
 #: So it is not by a larger part of its value than this, where it is known so well.
@@ -141,6 +144,8 @@ def read_tolerances(
     """
     table, tolerances = document.table(TOLERANCES), list[Tolerance]()
     elsewhere = {*document.table("parameters"), ALPHA_SCAT, ALPHA_ABS}
+    rows = [{**scene.parameters, **reading.parameters} for reading in measurements.readings]
+    room = _room(rows)
     for name in table:
         _refuse_name(table, name, scene, elsewhere)
     for name, own in scene.parameters.items():
@@ -156,12 +161,11 @@ def read_tolerances(
         elif name in table:
             sigma = table.known_number(name)
         # where the column varies each value is a part; the index of air is none
-        rows = [{**scene.parameters, **reading.parameters} for reading in measurements.readings]
         of_rows = dict.fromkeys(float(row[name]) for row in rows)
         parts = [BenchNumber(name, value) for value in of_rows]
         parts = [part for part in parts if any(map(part.is_of, rows))]
         found = [
-            _usual(scene, part) if sigma is None else _given(table, scene, part, float(sigma))
+            _usual(scene, room, part) if sigma is None else _given(table, room, part, float(sigma))
             for part in parts
         ]
         of_parts = [tolerance for tolerance in found if tolerance is not None]
@@ -213,7 +217,20 @@ def _refuse_name(table: TomlTable, name: str, scene: SceneFile, known: Collectio
         raise table.refusal(name, f"{name} is not a number", f"remove {name}")
 
 
-def _usual(scene: SceneFile, part: BenchNumber) -> Tolerance | None:
+def _room(rows: Sequence[Mapping[str, Value]]) -> Room:
+    """Where numbers must stay so that light is born inside the crystal, in all rows."""
+    born = [
+        (float(row[SOURCE_Z]), float(row[HEIGHT]))
+        for row in rows
+        if {SOURCE_Z, HEIGHT} <= row.keys()
+    ]
+    if not born:
+        return {}
+    places, heights = zip(*born, strict=True)
+    return {SOURCE_Z: (0.0, min(heights)), HEIGHT: (max(places), math.inf)}
+
+
+def _usual(scene: SceneFile, room: Room, part: BenchNumber) -> Tolerance | None:
     """What is usual of a number of its kind; None of other kinds."""
     name, value = part.parameter, part.value
     assert value is not None  # of a column, or the scene's own
@@ -230,13 +247,13 @@ def _usual(scene: SceneFile, part: BenchNumber) -> Tolerance | None:
         return None
     # what is near an end of what there is cannot be off so far
     for less in (1.0, 0.5, 0.25, 0.1):
-        farthest = _farthest(scene, part, less * sigma)
+        farthest = _farthest(room, part, less * sigma)
         if sigma > 0.0 and -farthest[0] >= _POSSIBLE * less * sigma <= farthest[1]:
             return Tolerance(part, value, less * sigma, farthest, given=False)
     return None
 
 
-def _given(table: TomlTable, scene: SceneFile, part: BenchNumber, sigma: float) -> Tolerance | None:
+def _given(table: TomlTable, room: Room, part: BenchNumber, sigma: float) -> Tolerance | None:
     """What the campaign says of a number; None where it is exact.
 
     Refuses an uncertainty by which the number would be impossible.
@@ -252,10 +269,10 @@ def _given(table: TomlTable, scene: SceneFile, part: BenchNumber, sigma: float) 
         if (why := judge(name, end)) is not None:
             problem = f"{name} = {value:g} ± {sigma:g} reaches {end:g}: {why[1]}"
             raise table.refusal(name, problem, "give a smaller uncertainty")
-    return Tolerance(part, value, sigma, _farthest(scene, part, sigma)) if sigma else None
+    return Tolerance(part, value, sigma, _farthest(room, part, sigma)) if sigma else None
 
 
-def _farthest(scene: SceneFile, part: BenchNumber, sigma: float) -> tuple[float, float]:
+def _farthest(room: Room, part: BenchNumber, sigma: float) -> tuple[float, float]:
     """How far a number may be off where it is wrong, below and above; 0: not at all."""
     name, value = part.parameter, part.value
     assert value is not None  # of a column, or the scene's own
@@ -265,7 +282,5 @@ def _farthest(scene: SceneFile, part: BenchNumber, sigma: float) -> tuple[float,
         shares = (1.0, 0.7, 0.5, 0.4, 0.3, 0.2)
         possible = (share for share in shares if judge(name, value + share * most) is None)
         ends.append(round(next(possible, 0.0) * most, 12))
-    if name == SOURCE_Z and HEIGHT in scene.parameters:
-        # light is born inside the crystal
-        ends = [max(ends[0], -value), min(ends[1], float(scene.parameters[HEIGHT]) - value)]
-    return ends[0], ends[1]
+    low, high = room.get(name, (-math.inf, math.inf))
+    return max(ends[0], low - value), min(ends[1], high - value)
