@@ -440,7 +440,13 @@ class CampaignSimulations:
                 for row in measured
             )
 
-        found = [p for p in buildable(campaign) if new(p)]
+        # what rows switch stays as in the first: all of it at once may be no bench of theirs
+        first = next((r for r in campaign.measurements.readings if not r.of_beam), None)
+        switched = {} if first is None or first.sample else first.parameters
+        columns = campaign.measurements.columns
+        as_first = {name: value for name, value in switched.items() if name not in columns}
+        found = [{**as_first, **p} for p in buildable(campaign)]
+        found = [p for p in found if new(p)]
         if len(found) > EXTENT.most_proposals:
             self.notes.append(
                 f"of {len(found)} configurations that could be measured next, "

@@ -13,7 +13,7 @@ import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.campaign.parameter import CampaignParameter
+from mcrim_mitsuba.campaign.parameter import CampaignParameter, CommonErrors
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import Rows
 from mcrim_mitsuba.effects.readings import reading_nonlinearity
@@ -171,6 +171,7 @@ class Model:
             scale=None,
             notes=(),
             raw=None,
+            common_errors=CommonErrors(),
             values=SCENE,
             # of one crystal
             light_yields={} if known is None else {"scale": ("light_yield_ph_per_keV", known)},
