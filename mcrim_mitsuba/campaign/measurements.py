@@ -28,6 +28,8 @@ _TEXTS = ("label", "histogram", "group", "kind", "sample")
 #: An error in per cent.
 _SHARE = re.compile(r"([0-9]+\.?[0-9]*) ?%")
 _OPTIONAL = ("use", "group", "group_sigma")
+#: The highest over the lowest line of one campaign, at most: 5.9 to 1333 keV.
+_WIDEST_ENERGIES = 250.0
 #: Of lines that scintillators are read with: X-rays to cosmic muons in a large crystal.
 _ENERGIES_KEV = 1.0, 1e6
 #: Labels are written into CSV that people open in spreadsheets.
@@ -76,7 +78,7 @@ class Reading:
     sample: str = ""
     #: Energy that was deposited; None where the file does not say it: that of all others.
     energy_keV: float | None = None
-    #: Effects that are switched off in this row.
+    #: Effects, wrappings and faces of them that are switched off in this row.
     without: tuple[str, ...] = ()
 
     @property
@@ -97,7 +99,7 @@ class Measurements:
     columns: tuple[str, ...]
     #: All of them, those that are not used included.
     readings: tuple[Reading, ...]
-    #: Effects that a column switches from row to row, in the file's order.
+    #: Effects, wrappings and their faces that a column switches, in the file's order.
     switches: tuple[str, ...] = ()
 
     @property
@@ -186,6 +188,7 @@ def read_table(
     )
     _check_labels(table)
     _check_histograms(table)
+    _check_energies(table)
     return table
 
 
@@ -456,6 +459,16 @@ def _check_labels(table: Measurements) -> None:
                 problem = f"{label} is of another group here than on line {first.line}"
                 mend = "give the mountings of one reading one group"
                 raise table.refusal(row, "group", problem, mend)
+
+
+def _check_energies(table: Measurements) -> None:
+    """Refuse energies so far apart that one of them is in another unit."""
+    told = [(row.energy_keV, row) for row in table.readings if row.energy_keV is not None]
+    lowest, row = min(told, key=lambda pair: pair[0], default=(1.0, None))
+    highest = max((energy for energy, _ in told), default=1.0)
+    if row is not None and highest > _WIDEST_ENERGIES * lowest:
+        problem = f"{ENERGY} = {lowest:g} beside {highest:g}: these are hardly one unit"
+        raise table.refusal(row, ENERGY, problem, "write all in keV: 1275 for 1.275 MeV")
 
 
 def _check_histograms(table: Measurements) -> None:

@@ -115,7 +115,9 @@ def _with_bare_faces(campaign: Campaign) -> Campaign:
             continue
         part = wrapping.named("without")
         given = "" if part is None else part.get("value", "")
-        parameter = given.removeprefix("$") if given.startswith("$") else f"{name}_without"
+        parameter = (
+            given.removeprefix("$") if given.startswith("$") else f"{name or 'wrapping'}_without"
+        )
         usual = str(campaign.scene.parameters.get(parameter, given or "none"))
         parameters[name] = parameter, usual
         if given == f"${parameter}":
