@@ -187,6 +187,10 @@ def trace(
         places = Counter(detected[:, walk.PLACE].astype(int).tolist())
         return Counter(fates.tolist()), places, detected if histories else detected[:0]
 
+    # numba compiles here, of no photons: several threads at it stumble over each other
+    nobody = np.empty(0, np.int64), np.empty((0, walk.RECORDED))
+    state, number = np.empty(1, np.uint64), np.uint64(0)
+    walk.follow(tables, birth, state, root, number, max_depth, bench.polarised, *nobody)
     fates, places, records, done = Counter[int](), Counter[int](), [], 0
     pool = ThreadPoolExecutor(threads or os.cpu_count() or 1)
     try:
