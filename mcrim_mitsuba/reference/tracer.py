@@ -173,9 +173,8 @@ def trace(
     tables, birth = bench.tables()
     root = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
 
-    def block(first: int) -> tuple[Counter[int], Counter[int], Floats]:
-        """Fates, detections by surface, and records of the detected, of photons from one on."""
-        count = min(_BLOCK, photons - first)
+    def walked(first: int, count: int) -> tuple[NDArray[np.int64], Floats]:
+        """Fates and records of so many photons from one on."""
         fates, records = np.empty(count, np.int64), np.empty((count, walk.RECORDED))
         # the generator's words overflow, as they shall
         with np.errstate(over="ignore"):
@@ -183,14 +182,17 @@ def trace(
             walk.follow(
                 tables, birth, rng, root, number, max_depth, bench.polarised, fates, records
             )
+        return fates, records
+
+    def block(first: int) -> tuple[Counter[int], Counter[int], Floats]:
+        """Fates, detections by surface, and records of the detected, of photons from one on."""
+        fates, records = walked(first, min(_BLOCK, photons - first))
         detected = records[fates == walk.DETECTED]
         places = Counter(detected[:, walk.PLACE].astype(int).tolist())
         return Counter(fates.tolist()), places, detected if histories else detected[:0]
 
     # numba compiles here, of no photons: several threads at it stumble over each other
-    nobody = np.empty(0, np.int64), np.empty((0, walk.RECORDED))
-    state, number = np.empty(1, np.uint64), np.uint64(0)
-    walk.follow(tables, birth, state, root, number, max_depth, bench.polarised, *nobody)
+    walked(0, 0)
     fates, places, records, done = Counter[int](), Counter[int](), [], 0
     pool = ThreadPoolExecutor(threads or os.cpu_count() or 1)
     try:
