@@ -28,6 +28,7 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add, catalogue
 from mcrim_mitsuba.output.figure_style import DARK, WARM
 from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 SCENES = Path(__file__).parents[1] / "scenes"
@@ -70,11 +71,12 @@ def replaced(text: str, pattern: str, by: str) -> str:
     return text
 
 
-def in_place(text: str, **values: object) -> str:
-    """The text of a scene with other defaults."""
+def in_place(text: str, **values: float) -> str:
+    """The text of the bar's scene with other defaults."""
+    editor = SceneEditor(read_scene(GAGG / "gagg.xml").edited(text), {})
     for name, value in values.items():
-        text = replaced(text, rf'(<default name="{name}" value=")[^"]*"', rf'\g<1>{value}"')
-    return text
+        editor.set_default(name, value)
+    return editor.finished()
 
 
 def with_open_foot(text: str) -> str:
@@ -146,7 +148,7 @@ def fractions(photons: int) -> None:
 
 
 def campaign_in(
-    folder: Path, source: Path, scene: Mapping[str, object], *, seen: bool = False, **changes: str
+    folder: Path, source: Path, scene: Mapping[str, float], *, seen: bool = False, **changes: str
 ) -> Path:
     """A campaign's files in a folder, with other numbers in its scene and other texts.
 
@@ -156,7 +158,7 @@ def campaign_in(
     for path in source.iterdir():
         text = path.read_text()
         if path.suffix == ".xml":
-            text = in_place(text, **scene)
+            text = in_place(text, **scene) if scene else text
             text = with_open_foot(text) if seen else text
         (folder / path.name).write_text(text)
     for file, text in changes.items():

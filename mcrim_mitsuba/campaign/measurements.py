@@ -463,11 +463,13 @@ def _check_labels(table: Measurements) -> None:
 
 def _check_energies(table: Measurements) -> None:
     """Refuse energies so far apart that one of them is in another unit."""
-    told = [(row.energy_keV, row) for row in table.readings if row.energy_keV is not None]
-    lowest, row = min(told, key=lambda pair: pair[0], default=(1.0, None))
-    highest = max((energy for energy, _ in told), default=1.0)
-    if row is not None and highest > _WIDEST_ENERGIES * lowest:
-        problem = f"{ENERGY} = {lowest:g} beside {highest:g}: these are hardly one unit"
+    rows = [row for row in table.readings if row.energy_keV is not None]
+    energies = [row.energy_keV for row in rows if row.energy_keV is not None]
+    if energies and max(energies) > _WIDEST_ENERGIES * min(energies):
+        row = rows[energies.index(min(energies))]
+        problem = (
+            f"{ENERGY} = {min(energies):g} beside {max(energies):g}: these are hardly one unit"
+        )
         raise table.refusal(row, ENERGY, problem, "write all in keV: 1275 for 1.275 MeV")
 
 

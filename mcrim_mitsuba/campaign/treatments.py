@@ -61,8 +61,10 @@ def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
     _refuse_idle(campaign.measurements)
     campaign = _with_bare_faces(campaign)
     ties = _read_ties(document, campaign)
-    tied = {*ties, *ties.values()}
     switches = campaign.measurements.switches
+    if not ties and not switches:
+        return campaign
+    tied = {*ties, *ties.values()}
     treatments = tuple(
         effect.name
         for effect in campaign.switched_on
@@ -131,13 +133,12 @@ def _with_bare_faces(campaign: Campaign) -> Campaign:
     readings = []
     for reading in campaign.measurements.readings:
         values = dict(reading.parameters)
-        for name, (parameter, usual) in parameters.items():
+        off = [switched[n] for n in reading.without if n in switched]
+        for name, (parameter, usual) in parameters.items() if off else ():
             bare = [usual] if usual != "none" else []
-            off = (switched[n] for n in reading.without if n in switched)
             bare += [faces for of, faces in off if of == name]
-            if reading.without:
-                words = dict.fromkeys(" ".join(bare).replace(",", " ").split())
-                values[parameter] = " ".join(words) or "none"
+            words = dict.fromkeys(" ".join(bare).replace(",", " ").split())
+            values[parameter] = " ".join(words) or "none"
         readings.append(replace(reading, parameters=values))
     return replace(
         campaign,
@@ -157,11 +158,7 @@ def _refuse_idle(measurements: Measurements) -> None:
 
 def _read_ties(document: TomlDocument, campaign: Campaign) -> dict[str, str]:
     """``same_as`` of the parameters, by name."""
-    sizes = {
-        parameter: effect.name
-        for effect in campaign.switched_on
-        for parameter in effect.switched_off or ()
-    }
+    sizes = [size for effect in campaign.switched_on for size in effect.switched_off or ()]
     numbers = [n for n, value in campaign.scene.parameters.items() if isinstance(value, float)]
     can = [n for n in dict.fromkeys([*sizes, *numbers]) if n not in COEFFICIENTS]
     ties: dict[str, str] = {}

@@ -282,7 +282,7 @@ class ResponseMaker:
     def looks(self) -> list[PlannedRun]:
         """First looks at the bench as it is, by reading; none where all get as many photons."""
         scene, of_beam = self.campaign.scene, any(reading.of_beam for reading in self._readings)
-        wrapped = any(shape.get("type") == "wrapping" for shape in scene.root.iter("shape"))
+        wrapped = scene.parts.all("shape", "wrapping")
         if self._given or self._sigma is None or of_beam or not wrapped:
             return []
         photons, check = self._look_photons, self._check
@@ -718,20 +718,20 @@ def _as_effect(campaign: Campaign, name: str) -> Effect:
     """A fitted scene parameter as an effect, absent at the scene's value; acceptance by angle."""
     known, own = campaign.parameters[name], float(campaign.values[name])
     low, high = known.minimum, known.maximum
-    treated = [campaign.catalogue[effect] for effect in campaign.treatments]
     if not (math.isfinite(low) and math.isfinite(high)):
         problem = f"{name} has the range {low:g}..{high:g}"
         mend = "give a finite min and a larger finite max: it is simulated between them"
         raise InputError(problem, mend, path=campaign.path)
-    if name == ACCEPTANCE:
+    treated = [campaign.catalogue[effect] for effect in campaign.treatments]
+    size = next((p for e in treated for p in e.parameters if p.name == name), None)
+    if size is not None:
+        nodes = np.array([node for node in size.nodes if low < node < high])
+    elif name == ACCEPTANCE:
         first, last = np.log1p(np.array([low, high]) / _ACCEPTANCE_SCALE_DEG)
         nodes = _ACCEPTANCE_SCALE_DEG * np.expm1(chebyshev_nodes(first, last, _ACCEPTANCE_NODES))
         nodes = np.clip(nodes, low, high)
     else:
         nodes = chebyshev_nodes(low, high, _SCENE_NODES)
-    size = next((p for e in treated for p in e.parameters if p.name == name), None)
-    if size is not None:
-        nodes = np.array([node for node in size.nodes if low < node < high])
     # the scene's value stands in for the nearest of them
     nodes = np.delete(nodes, np.abs(nodes - own).argsort()[:1])
     if size is not None:

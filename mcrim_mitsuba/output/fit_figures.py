@@ -75,9 +75,12 @@ def draw_comparison(
     Only a comparison knows of suspect readings. What was added is for the legend; the unit is that
     of the signals of light, the measurement file's where it is not known.
     """
+    # of several suspicions on one reading the first, which is the strongest
+    suspects = {
+        label: suspect.kind for suspect in _suspects(before)[::-1] for label in suspect.labels
+    }
     if (series := _series_of(before)) is not None:
         figure = _draw_along(series, before, after, unit)
-        suspects = {label: s.kind for s in _suspects(before)[::-1] for label in s.labels}
         return style.Drawing(figure, *_comparison_numbers(before, after, suspects))
     figure, upper, lower = _over_readings(before.rows, (1.4, 1))
     places = np.arange(len(before.rows))
@@ -89,10 +92,6 @@ def draw_comparison(
         fits = [_Pulls(name, before, _AS_IT_IS, -_APART), _Pulls(words, after, _MENDED, _APART)]
     _draw_pulls(lower, places, fits)
     _mark_suspects(lower, places, before, mended=after is not None)
-    # of several suspicions on one reading the first, which is the strongest
-    suspects = {
-        label: suspect.kind for suspect in _suspects(before)[::-1] for label in suspect.labels
-    }
     for row, tick in zip(before.rows, lower.get_xticklabels(), strict=True):
         if row.label in suspects:
             tick.set(fontweight="bold", color=style.WARM if after is None else style.GREY)
@@ -137,8 +136,7 @@ def _draw_along(
     """A curve for each treatment over one number of the bench, and its pulls below."""
     figure = style.canvas(8.6, 7.4)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.7, 1))
-    lower.axhspan(-2, 2, color="0.93", lw=0)
-    lower.axhspan(-1, 1, color="0.85", lw=0)
+    _bands_of_pulls(lower)
     fits = [(before, (0, (2.2, 1.2))), *([(after, "-")] if after is not None else [])]
     shown = fits[-1][0]
     colours = colormaps["viridis"](np.linspace(0.0, 0.85, len(series.members)))
@@ -165,9 +163,7 @@ def _draw_along(
     upper.set_ylabel(style.signal_title(unit, "\n"), parse_math=False)
     upper.set_ylim(bottom=0.0)
     lower.set_xlabel(titled(series.parameter))
-    lower.set_ylabel("pull (standard errors;\nbands: ±1 and ±2)")
-    for axes in (upper, lower):
-        style.open_axes(axes, "y")
+    style.open_axes(upper, "y")
     style.legend_above(upper, handles, ncols=2, handlelength=2.2)
     return figure
 
@@ -285,10 +281,17 @@ def _draw_signals(
     style.legend_above(axes, handles, ncols=3, handlelength=1.8)
 
 
-def _draw_pulls(axes: Axes, places: np.ndarray, fits: Sequence[_Pulls]) -> None:
-    """Residuals of fits in standard errors over bands of one and two of them."""
+def _bands_of_pulls(axes: Axes) -> None:
+    """Axes for pulls, with bands of one and two standard errors."""
     axes.axhspan(-2, 2, color="0.93", lw=0)
     axes.axhspan(-1, 1, color="0.85", lw=0)
+    axes.set_ylabel("pull (standard errors;\nbands: ±1 and ±2)")
+    style.open_axes(axes, "y")
+
+
+def _draw_pulls(axes: Axes, places: np.ndarray, fits: Sequence[_Pulls]) -> None:
+    """Residuals of fits in standard errors over bands of one and two of them."""
+    _bands_of_pulls(axes)
     axes.axhline(0, color=style.GREY, lw=0.9)
     handles, extent = [], 3.2
     for name, fit, look, shift in fits:
@@ -303,8 +306,6 @@ def _draw_pulls(axes: Axes, places: np.ndarray, fits: Sequence[_Pulls]) -> None:
         handles.append(Line2D([], [], label=label, **look))
     axes.set_ylim(-extent, extent)
     axes.yaxis.set_major_locator(MaxNLocator(7, integer=True))
-    axes.set_ylabel("pull (standard errors;\nbands: ±1 and ±2)")
-    style.open_axes(axes, "y")
     style.legend_above(axes, handles, ncols=1, handlelength=1.8)
 
 

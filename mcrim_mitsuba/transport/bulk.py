@@ -211,11 +211,10 @@ class CrystalVolume:
         self.frame = _parallelepiped([f for f in model.faces or () if f.surface in owned])
         if self.frame is not None and self._steepness:
             self.frame = _along(self._axis, self.frame)
-        for axis in self._limited if self.frame is not None else ():
+        for axis in self._limited:
             if self.frame is not None:
-                self.frame = _between(
-                    axis, self.born_lower[axis], self.born_upper[axis], self.frame
-                )
+                ends = self.born_lower[axis], self.born_upper[axis]
+                self.frame = _between(axis, *ends, self.frame)
         if model.faces is not None and self.frame is None:
             self._solid = next((s for s in convex_solids(model) if s.volume == volume), None)
         if self.frame is not None:
