@@ -16,7 +16,6 @@ cluster will do. All need pip install 'mcrim-mitsuba[cluster]'.
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
 from collections.abc import Callable
@@ -28,6 +27,7 @@ from mcrim_mitsuba.cli.main import mcrim
 from mcrim_mitsuba.cli.options import Whole
 from mcrim_mitsuba.cli.terminal import DONE, run
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import processors
 
 _WHERE = "run this where jobs can be submitted"
 _SETTINGS = {"ignore_unknown_options": True}
@@ -118,7 +118,7 @@ def htcondor(**options: Any) -> int:
 @click.option(
     "--workers",
     type=Whole(1, 1024),
-    default=os.cpu_count() or 1,
+    default=processors(),
     show_default=True,
     help="Processes of one thread each.",
 )

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import processors
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.reference.tracer import FateCounts, whole_number
 
@@ -95,7 +96,7 @@ def trace_geant4(
     """
     photons = whole_number("photons", photons, 1)
     seed = whole_number("seed", seed, 0)
-    threads = whole_number("threads", threads or os.cpu_count() or 1, 1)
+    threads = whole_number("threads", threads or processors(), 1)
     if not is_installed():
         mend = "install it: pip install 'mcrim-mitsuba[geant4]'"
         raise InputError("Geant4 is not installed", mend)

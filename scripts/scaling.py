@@ -28,7 +28,7 @@ from shared import SCENE, markdown
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run, processors
 from mcrim_mitsuba.efficiency.table import EtaTable, eta_table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE, RecordCache
 from mcrim_mitsuba.runs.cluster import ClusterExecutor, connect
@@ -157,14 +157,14 @@ def show_runs(screen: terminal.Screen, runs: list[Timed]) -> bool:
     units = len(runs[1].units) + len(runs[1].firsts)
     rows = []
     for each in runs:
-        processors = min(max(each.workers, 1), os.cpu_count() or 1)
+        busy = min(max(each.workers, 1), processors())
         rows.append(
             [
                 each.workers or "no cluster",
                 f"{each.seconds:.1f}",
                 f"{units / each.seconds:.2f}",
                 f"{one / each.seconds:.2f}",
-                f"{100 * one / each.seconds / processors:.0f} %",
+                f"{100 * one / each.seconds / busy:.0f} %",
                 f"{statistics.mean(each.units):.3f}" if each.units else "",
             ]
         )
@@ -193,7 +193,7 @@ def main(couplings: int) -> int:
     """
     screen = terminal.console()
     load = ", ".join(f"{one:.1f}" for one in os.getloadavg())
-    screen.line(f"{os.cpu_count()} processors, load {load} when it began.\n")
+    screen.line(f"{processors()} processors, load {load} when it began.\n")
     runs = [timed_table(workers, couplings) for workers in (0, *WORKERS)]
     same = show_runs(screen, runs)
     size = round(statistics.median(runs[1].sizes))

@@ -17,6 +17,9 @@ from typing import NamedTuple
 # Before NumPy is imported, here and in all processes that tests start: threads of linear algebra
 # that wait for each other beside other tests take ten times the processor's time of one.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Tests share the processors already, and Dr.Jit's threads look for work for a while before they
+# sleep: with two each, small simulations took 1.4 times the processor's time.
+os.environ.setdefault("PYTHON_CPU_COUNT", "1")
 
 import pytest
 from browser import browser  # noqa: F401  (a fixture for all tests)

@@ -21,7 +21,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import sha256
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
 from mcrim_mitsuba.core.rounding import counted
-from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run, processors
 from mcrim_mitsuba.runs.array_job import (
     DEFAULT_FOLDER,
     ArrayPart,
@@ -299,12 +299,12 @@ def machine(function):
 
 def _read_threads(ctx, param, value) -> int | None:
     """Threads of which none waits for another's processor, as a callback of click."""
-    processors = os.cpu_count() or 1
-    if value is None or value <= processors:
+    available = processors()
+    if value is None or value <= available:
         return value
-    note = f"--threads {value}: of {counted(processors, 'processor')} no more can be used"
+    note = f"--threads {value}: of {counted(available, 'processor')} no more can be used"
     terminal.console("-").say_notes([note])
-    return processors
+    return available
 
 
 def _read_variant(ctx, param, value) -> str:

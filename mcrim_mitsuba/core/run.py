@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 import signal
 import threading
 from collections.abc import Iterator, Mapping
@@ -26,6 +27,20 @@ MOST_PHOTONS = 10**13
 MOST_THREADS = 1024
 #: By which people, terminals and batch systems end a job.
 ENDING_SIGNALS = tuple(s for s in signal.Signals if s.name in ("SIGINT", "SIGTERM", "SIGHUP"))
+
+
+def processors() -> int:
+    """How many processors this process may use, at least 1.
+
+    That are ``PYTHON_CPU_COUNT``, with which Python 3.13 says so, or those that it may run on: a
+    batch system or a container often grants fewer than the machine has.
+    """
+    stated = os.environ.get("PYTHON_CPU_COUNT", "")
+    if stated.isdecimal() and int(stated):
+        return int(stated)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class Progress(Protocol):
@@ -51,7 +66,7 @@ class Run:
     #: Wanted relative standard error of eta, where the job can be told one.
     precision: float | None = None
     seed: int = 0
-    #: Processor threads; all when None.
+    #: Processor threads; one for each of `processors` when None.
     threads: int | None = None
     _: KW_ONLY
     #: Of Mitsuba.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import operator
-import os
 from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM, Value
+from mcrim_mitsuba.core.run import processors
 from mcrim_mitsuba.reference import walk
 from mcrim_mitsuba.reference.compiling import say_if_slow
 from mcrim_mitsuba.reference.faces import FacedBench, Floats
@@ -194,7 +194,7 @@ def trace(
     # numba compiles here, of no photons: several threads at it stumble over each other
     walked(0, 0)
     fates, places, records, done = Counter[int](), Counter[int](), [], 0
-    pool = ThreadPoolExecutor(threads or os.cpu_count() or 1)
+    pool = ThreadPoolExecutor(threads or processors())
     try:
         for own_fates, own_places, detected in pool.map(block, range(0, photons, _BLOCK)):
             fates += own_fates

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import sha256
-from mcrim_mitsuba.core.run import OWN_MODULES, Progress
+from mcrim_mitsuba.core.run import OWN_MODULES, Progress, processors
 from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.cache_files import Chunk
 
@@ -347,7 +347,7 @@ def many_units_executor(threads: int | None) -> Executor:
 
     `threads` are as many as may be used, all processors when None.
     """
-    chosen, processes = current_executor(), threads or os.cpu_count() or 1
+    chosen, processes = current_executor(), threads or processors()
     # a process of a pool of others may not have any of its own
     if type(chosen) is Executor and processes > 1 and not multiprocessing.current_process().daemon:
         return ProcessExecutor(processes)

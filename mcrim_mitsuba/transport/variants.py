@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
-from mcrim_mitsuba.core.run import DEFAULT_VARIANT, signals_wait
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, processors, signals_wait
 from mcrim_mitsuba.transport import plugins
 
 #: Oldest version seen to work with Dr.Jit 1.5; 15 and 16 abort, 17 and 18 were not available.
@@ -246,7 +246,7 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None) -> Any:
             problem = f"the variant {name!r} cannot start here ({str(error).splitlines()[0]})"
             mend = f"use {DEFAULT_VARIANT}, which needs only the processor"
             raise InputError(problem, mend) from None
-    wanted = threads or os.cpu_count() or 1
+    wanted = threads or processors()
     if dr.thread_count() != wanted:
         dr.set_thread_count(wanted)
     return mi
@@ -312,7 +312,7 @@ def versions(variant: str, threads: int | None = None) -> dict[str, str]:
     return software_versions(variant) | {
         "python": platform.python_version(),
         "variant": variant,
-        "threads": str(threads or (drjit.thread_count() if drjit else os.cpu_count()) or 1),
+        "threads": str(threads or (drjit.thread_count() if drjit else processors())),
         "platform": f"Python {platform.python_version()} on {platform.system()} "
         f"{platform.release()}, {platform.machine()}",
     }

@@ -21,6 +21,7 @@ from shared import SCENE
 
 from benchmark.scalar import trace_scalar
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.run import processors
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.reference.tracer import TracerResult, trace
@@ -49,7 +50,7 @@ GOAL = 0.001
 FIRST_PHOTONS, FIRST_PHOTONS_SLOW = 1_000_000, 20_000
 #: Records are kept in memory, from launches of this size.
 MOST_RECORDED_PHOTONS, RECORDED_PER_LAUNCH = 10_000_000, 128 * LANES
-_CORES = os.cpu_count() or 1
+_CORES = processors()
 
 
 class Effort(NamedTuple):

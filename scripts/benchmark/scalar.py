@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 from geant4 import PLAIN_PARAMETERS
 
+from mcrim_mitsuba.core.run import processors
 from mcrim_mitsuba.efficiency.bench import Bench
 
 SOURCE = Path(__file__).with_name("scalar_tracer.cpp")
@@ -62,7 +62,7 @@ def trace_scalar(
     given = {name: getattr(bench, name) for name in PLAIN_PARAMETERS} | {
         "photons": photons,
         "seed": seed,
-        "threads": threads or os.cpu_count() or 1,
+        "threads": threads or processors(),
         "unfold": int(unfold),
     }
     line = [str(program), *(f"{name}={value}" for name, value in given.items())]

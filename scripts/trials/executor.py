@@ -29,7 +29,7 @@ from shared import package_hash, source_hash
 from mcrim_mitsuba.cli import options
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import make_folder, read_text, sha256, write_text
-from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Progress
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Progress, processors
 from mcrim_mitsuba.runs.array_job import ArrayPart
 from mcrim_mitsuba.runs.cache import cache_folder
 from mcrim_mitsuba.runs.cluster import connect
@@ -108,7 +108,7 @@ def executor_options(function: Callable[..., Any]) -> Callable[..., Any]:
     @click.option(
         "--processes",
         type=options.Whole(1, 1024),
-        default=os.cpu_count() or 1,
+        default=processors(),
         show_default="all processors",
         help="Trials that are under way at a time.",
     )

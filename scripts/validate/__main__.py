@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import math
-import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from shared import fraction_error
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.run import processors
 from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.output.description import table
 from validate.benches import Case, cases
@@ -63,7 +63,7 @@ PHASE = "its polarisation leaves out the phase of total reflection: another mode
 @click.option(
     "--processes",
     type=options.Whole(1, 1024),
-    default=os.cpu_count(),
+    default=processors(),
     help="How many units are done at a time (default: one per core).",
 )
 @click.option(

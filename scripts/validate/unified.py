@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 
 import mcrim_mitsuba as mcrim
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Run, processors
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.scene.scene_file import read_scene
@@ -77,7 +77,7 @@ def work(sigma_alpha: float, n_gap: float, photons: int) -> None:
     reports = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     bench = Bench(n_gap=n_gap, **COEFFICIENTS)
-    run = process.Geant4Run(bench, 1, os.cpu_count() or 1, True, lambda **_: None)
+    run = process.Geant4Run(bench, 1, processors(), True, lambda **_: None)
     print(
         json.dumps({"detected": run.beam_on(photons)[process.DETECTOR]}), file=reports, flush=True
     )

@@ -10,7 +10,15 @@ from places import cases_of
 from refusals import refusal
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from mcrim_mitsuba.core.run import OverAxes, Provenance, Run, arguments_of, one_thread, signals_wait
+from mcrim_mitsuba.core.run import (
+    OverAxes,
+    Provenance,
+    Run,
+    arguments_of,
+    one_thread,
+    processors,
+    signals_wait,
+)
 
 cases = cases_of(__file__)
 
@@ -78,3 +86,13 @@ def test_an_answer_over_axes_is_a_dataset_with_units_that_is_reproducible():
     assert (
         data.attrs == {"detected": 3, "photons": 10, "seed": 1, "scene_hash": "hash"} | parameters
     )
+
+
+def test_processors_are_those_that_are_granted(monkeypatch):
+    """A batch system grants a few of a machine's; all were used, and waited for each other."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 7, 11}, raising=False)
+    monkeypatch.delenv("PYTHON_CPU_COUNT", raising=False)
+    assert processors() == 3
+    for stated, number in {"2": 2, "default": 3, "0": 3}.items():
+        monkeypatch.setenv("PYTHON_CPU_COUNT", stated)
+        assert processors() == number
