@@ -6,21 +6,15 @@ import signal
 import time
 
 import pytest
-from app_page import KEYS, LONGEST_SIMULATION_S, running
+from app_page import KEYS, LONGEST_SIMULATION_S, misfit, running
 
 MANY_PHOTONS = 2_097_152
 
 
 @pytest.fixture
-def campaign(scenes, tmp_path):
+def campaign(tmp_path):
     """The misfit's campaign with four readings."""
-    text = (scenes / "camoo4_misfit.toml").read_text()
-    text = text.replace('scene = "camoo4.xml"', f"scene = '{scenes / 'camoo4.xml'}'")
-    lines = (scenes / "camoo4_misfit.csv").read_text().splitlines()
-    (tmp_path / "four.csv").write_text("\n".join(lines[i] for i in (2, 3, 7, 15, 18)) + "\n")
-    path = tmp_path / "bench.toml"
-    path.write_text(text.replace("camoo4_misfit.csv", "four.csv"))
-    return path
+    return misfit(tmp_path, (2, 3, 7, 15, 18))
 
 
 def test_jobs_wait_and_stop(browser, campaign, scenes):
@@ -28,7 +22,7 @@ def test_jobs_wait_and_stop(browser, campaign, scenes):
     # would be left to be stopped: some seconds of all processors; in five mountings
     lines = (scenes / "camoo4_misfit.csv").read_text().splitlines()
     rows = [lines[i] for i in (2, 3, 5, 7, 9, 15)]
-    (campaign.parent / "four.csv").write_text("\n".join(rows) + "\n")
+    (campaign.parent / "few.csv").write_text("\n".join(rows) + "\n")
     with running(campaign, "off", browser, MANY_PHOTONS, settled=False) as app:
         status = lambda: browser.text("#status")  # noqa: E731
         browser.wait_for(lambda: status().startswith("simulating the bench"), "simulation")
@@ -230,8 +224,9 @@ def choose(browser, path) -> None:
 
 @pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
 def test_from_a_file_to_the_averaged_yield_by_keyboard(
-    browser, campaign, shared_cache, scenes, size
+    browser, tmp_path, shared_cache, scenes, size
 ):
+    campaign = misfit(tmp_path, (2, 3, 7, 15, 18), exact=True)
     browser.resize(*size)
     wide = f"keyboard {size[0]}"
     with running(campaign, shared_cache, browser) as app:
@@ -370,7 +365,7 @@ def test_many_readings_are_told_apart(browser, campaign, shared_cache, scenes):
     lines = (scenes / "camoo4_misfit.csv").read_text().splitlines()
     rows = [lines[3 + place % 16].split(",", 1) for place in range(300)]
     many = [f"{label} no {place},{rest}" for place, (label, rest) in enumerate(rows)]
-    (campaign.parent / "four.csv").write_text("\n".join([lines[2], *many]) + "\n")
+    (campaign.parent / "few.csv").write_text("\n".join([lines[2], *many]) + "\n")
     with running(campaign, shared_cache, browser) as app:
         assert app.is_about("(300)")
         chart = browser.find("#readings-chart")

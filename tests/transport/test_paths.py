@@ -203,13 +203,13 @@ def test_a_cube_with_cut_edges_by_either_path_and_in_any_number_of_triangles(tmp
     """The mesh has no normals of its own; Mitsuba's smooth ones must not bend the light."""
     numbers = {"n": 1.8, "alpha_abs_per_cm": 0.1, "alpha_scat_per_cm": 0.3, "polarization": True}
     coarse = simulation(tmp_path, cut_cube(tmp_path), numbers)
-    fast = coarse.collect(600_000, seed=10)
+    fast = coarse.collect(300_000, seed=10)
     assert fast.transport == "fast path for flat faces"
     assert any(face.triangle for face in coarse.model.faces)
-    traced = coarse.collect(300_000, seed=11, general=True)
+    traced = coarse.collect(150_000, seed=11, general=True)
     assert_same_light(fast, traced, z_max=Z)
     fine = simulation(tmp_path, cut_cube(tmp_path, pieces=4), numbers)
-    mixed = fine.collect(300_000, seed=12)
+    mixed = fine.collect(150_000, seed=12)
     assert_same_light(mixed, trace(fine.file, 100_000, 13), z_max=Z)
     assert len({fast.transport, traced.transport, mixed.transport}) == 3
     assert_same_light(fast, mixed, z_max=Z)
