@@ -393,7 +393,8 @@ def calibration_json(calibration: ChannelCalibration) -> dict[str, Any]:
 def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
     """Where a reading comes from: every histogram with its peak, and their mean."""
     of_peak = (
-        "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high warnings"
+        "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high warnings "
+        "**fitted_below"
     )
     mountings = [
         attributes(mounting, "file line=row.line use consistent")

@@ -211,7 +211,10 @@ BEAM: Entries = {
 }
 #: Of ``[histograms]``.
 PEAKS: Entries = {
-    "shape": {"enum": list(SHAPES), "description": "How the peaks of histograms are described"}
+    "shape": {"enum": list(SHAPES), "description": "How the peaks of histograms are described"},
+    "step": {"type": "boolean", "description": "Whether a continuum that ends under them is too"},
+    "escape_keV": {**_VALUES, "description": "Quanta that leave the crystal: lines below a peak"},
+    "escape_share": {**_VALUES, "description": "Their events over the peak's; else fitted"},
 }
 #: Of ``[calibration]``, of histograms in channels.
 CALIBRATION: Entries = {

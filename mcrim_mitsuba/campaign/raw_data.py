@@ -6,13 +6,13 @@ import copy
 import math
 import re
 from collections.abc import Iterable, Mapping, MutableMapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.campaign import entries as schema
-from mcrim_mitsuba.campaign.entries import number_within
+from mcrim_mitsuba.campaign.entries import choice, number_within
 from mcrim_mitsuba.core.errors import said_by
 from mcrim_mitsuba.core.files import is_there, look_around, resolved
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, MM_PER_CM
@@ -22,6 +22,8 @@ from mcrim_mitsuba.laboratory.light_yield import (
     DetectorEfficiency,
     detector_efficiency,
 )
+from mcrim_mitsuba.laboratory.peak import AUTO
+from mcrim_mitsuba.laboratory.peak_shapes import Below, escape_lines
 from mcrim_mitsuba.optics.absorption import (
     EMISSION,
     LARGEST_SIGMA,
@@ -228,6 +230,43 @@ def read_efficiency(table: TomlTable) -> DetectorEfficiency | None:
         read_spectrum(files[1], "quantum_efficiency"),
         TUBE_SCALE_SIGMA if sigma is None else sigma,
     )
+
+
+@dataclass(frozen=True)
+class PeakEntries:
+    """What ``[histograms]`` says of all peaks."""
+
+    shape: str
+    step: bool
+    #: Energies of quanta that escape, keV, with their shares; None: to be fitted.
+    quanta: tuple[tuple[float, float | None], ...]
+
+    def below(self, energy_keV: float | None) -> Below:
+        """What lies below a peak of this energy; without quanta it need not be known."""
+        return Below(escape_lines(energy_keV, self.quanta) if energy_keV else (), self.step)
+
+
+def read_peaks(document: TomlDocument) -> PeakEntries:
+    """``[histograms]``; raises InputError with the line, if an entry cannot be used."""
+    table = document.table(schema.HISTOGRAMS, schema.PEAKS)
+    step = table.get("step", False)
+    if not isinstance(step, bool):
+        raise table.refusal("step", "step is not true or false", "write step = true")
+    energies, shares = (_positive(table, name) for name in ("escape_keV", "escape_share"))
+    if shares and len(shares) != len(energies):
+        problem = f"{len(shares)} numbers in escape_share for {len(energies)} in escape_keV"
+        raise table.refusal("escape_share", problem, "give each quantum its share, or none")
+    of_quanta: list[float | None] = [*shares] or [None] * len(energies)
+    quanta = tuple(zip(energies, of_quanta, strict=True))
+    return PeakEntries(choice(table, "shape", schema.PEAKS) or AUTO, step, quanta)
+
+
+def _positive(table: TomlTable, name: str) -> list[float]:
+    """Numbers above 0 of an entry that is a list of them."""
+    numbers = table.get(name, [])
+    if isinstance(numbers, list) and all(is_plain_number(n) and 0 < n < 1e6 for n in numbers):
+        return numbers
+    raise table.refusal(name, f"{name} is no list of numbers above 0", f"write {name} = [17.4]")
 
 
 def read_source_depth(document: TomlDocument) -> AttenuationLength | None:

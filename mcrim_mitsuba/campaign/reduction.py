@@ -9,7 +9,7 @@ from pathlib import Path
 from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign import raw_data
 from mcrim_mitsuba.campaign.calibration import read_calibration
-from mcrim_mitsuba.campaign.entries import SOURCE_DEPTH, choice
+from mcrim_mitsuba.campaign.entries import SOURCE_DEPTH
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_bytes, sha256
@@ -24,7 +24,7 @@ from mcrim_mitsuba.laboratory.calibration import (
 )
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency
-from mcrim_mitsuba.laboratory.peak import AUTO, Peak, Repeated, combine
+from mcrim_mitsuba.laboratory.peak import Peak, Repeated, combine
 from mcrim_mitsuba.optics.absorption import Absorption
 from mcrim_mitsuba.optics.gammas import AttenuationLength
 from mcrim_mitsuba.optics.materials import is_known
@@ -139,11 +139,17 @@ class RawData:
 
 
 def _reduce_table(
-    table: Measurements, shape: str, calibration: ChannelCalibration | None
+    table: Measurements,
+    entries: raw_data.PeakEntries,
+    energy_keV: float | None,
+    calibration: ChannelCalibration | None,
 ) -> tuple[list[Reading], dict[str, ReducedReading]]:
-    """All readings of a measurement file, and by label what those from histograms were made of."""
+    """All readings of a measurement file, and by label what those from histograms were made of.
+
+    `energy_keV` is that of rows that do not say theirs.
+    """
     mountings = {
-        row.line: _mounting(table, row, row.histogram, shape, calibration)
+        row.line: _mounting(table, row, entries, row.energy_keV or energy_keV, calibration)
         for row in table.readings
         if row.histogram is not None
     }
@@ -194,14 +200,17 @@ def _notes_on(reduced: ReducedReading) -> Iterator[str]:
 def _mounting(
     table: Measurements,
     row: Reading,
-    file: Path,
-    shape: str,
+    entries: raw_data.PeakEntries,
+    energy_keV: float | None,
     calibration: ChannelCalibration | None,
 ) -> Mounting:
-    """A histogram with the peak that was fitted in it."""
+    """A row's histogram with the peak that was fitted in it."""
+    file, below = row.histogram, entries.below(energy_keV)
+    assert file is not None
     histogram = read_photons(file, calibration)
     try:
-        peak = fit_histogram(histogram, shape=shape, window=window_of(histogram, row.window))
+        window = window_of(histogram, row.window)
+        peak = fit_histogram(histogram, shape=entries.shape, window=window, below=below)
     except InputError as error:
         if row.window is None:
             raise InputError(error.problem, error.mend, path=file) from None
@@ -252,13 +261,18 @@ def reduce_raw_data(
     Raises InputError with the line, if an entry or a file with raw data cannot be used.
     """
     raw_data.refuse_misplaced(document)
-    shape = choice(document.table(schema.HISTOGRAMS, schema.PEAKS), "shape", schema.PEAKS)
-    efficiency = raw_data.read_efficiency(document.table(schema.YIELD_TABLE))
+    entries, table_of_yield = raw_data.read_peaks(document), document.table(schema.YIELD_TABLE)
+    efficiency = raw_data.read_efficiency(table_of_yield)
     light = None if efficiency is None else efficiency.light
     absorption = raw_data.read_absorption(document, light, scene)
     source_depth = raw_data.read_source_depth(document)
     calibration = read_calibration(document)
-    readings, reduced = _reduce_table(table, shape or AUTO, calibration)
+    energy_keV = table_of_yield.number("energy_keV")  # noqa: N806
+    if entries.quanta and energy_keV is None and not all(r.energy_keV for r in table.readings):
+        problem = "escape_keV without the energy of the peaks"
+        mend = f"give energy_keV in [{schema.YIELD_TABLE}], or as a column of the measurements"
+        raise document.refusal(f"{schema.HISTOGRAMS}.escape_keV", problem, mend)
+    readings, reduced = _reduce_table(table, entries, energy_keV, calibration)
     measurements = table.with_readings(readings)
     if not (reduced or efficiency or absorption or source_depth):
         return raw_data.with_numbers(document, {}), measurements, None

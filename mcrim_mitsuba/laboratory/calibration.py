@@ -26,6 +26,7 @@ from mcrim_mitsuba.laboratory.digitiser import ChannelSpectrum, read_channels
 from mcrim_mitsuba.laboratory.histogram import Histogram, main_peak, read_histogram
 from mcrim_mitsuba.laboratory.peak import AUTO, fit_peak
 from mcrim_mitsuba.laboratory.peak_band import Peak
+from mcrim_mitsuba.laboratory.peak_shapes import Below
 from mcrim_mitsuba.laboratory.single_photoelectron import (
     Pedestal,
     SinglePhotoelectrons,
@@ -137,16 +138,20 @@ class CalibratedHistogram(Histogram):
 
 
 def fit_histogram(
-    histogram: Histogram, *, shape: str = AUTO, window: tuple[float, float] | None = None
+    histogram: Histogram,
+    *,
+    shape: str = AUTO,
+    window: tuple[float, float] | None = None,
+    below: Below | None = None,
 ) -> Peak | None:
     """The main peak of a histogram, or the one in a window, of photons per event; see `fit_peak`.
 
     Raises InputError as that does.
     """
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = {"shape": shape, "window": window, "below": below}
     if isinstance(histogram, CalibratedHistogram):
-        options = {"variances": histogram.variances, "photoelectrons": True}
-    return fit_peak(histogram.photons, histogram.counts, shape=shape, window=window, **options)
+        options |= {"variances": histogram.variances, "photoelectrons": True}
+    return fit_peak(histogram.photons, histogram.counts, **options)
 
 
 def window_of(

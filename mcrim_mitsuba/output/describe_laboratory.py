@@ -53,6 +53,7 @@ _PEAK = (
     Column("chi2 / ndf", of=_per_ndf),
     Column("p", form=p_text, of="p_value"),
 )
+_BELOW = Column("below it", left=True, of=lambda peak: _below(peak))
 _PEAK_ALONE = (
     Column("fitted bins", of=lambda peak: f"{peak.low:g} to {peak.high:g}"),
     Column("the other shape's", of=lambda peak: _PEAK[1].cell(peak.other) if peak.other else ""),
@@ -128,7 +129,10 @@ def _peaks(
     further: tuple[Column, ...] = (),
 ) -> Table:
     """Peaks below the titles of what stands left of them."""
+    peaks = list(peaks)
     columns = (*_PEAK, *further)
+    if any(peak and peak.fitted_below for _, peak in peaks):
+        columns += (_BELOW,)
     rows = (
         (*left, *(column.cell(peak) for column in columns))
         if peak
@@ -136,6 +140,17 @@ def _peaks(
         for left, peak in peaks
     )
     return table(title, (*heads, *columns), rows)
+
+
+def _below(peak: Peak) -> str:
+    """A step and escape lines in words."""
+    words = [f"step {pdg(peak.step, peak.step_sigma)} per bin"] if peak.step_sigma else []
+    words += [
+        f"escape at {line.kept * peak.centroid:.4g}: "
+        f"{pdg(line.share or 0.0, line.share_sigma or None)} of the peak's events"
+        for line in peak.lines
+    ]
+    return ", ".join(words)
 
 
 def _means(title: str, of: str, means: Iterable[tuple[str, Repeated]]) -> list[Piece]:

@@ -101,7 +101,7 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
             tops.append(float(histogram.counts.max()))
         handles.append(Line2D([], [], label=_label(name, peak), **look | mark))
     if any(entry.peak is not None for entry in fitted):
-        handles.append(Line2D([], [], color=style.GREY, label="linear background", **_BACKGROUND))
+        handles.append(Line2D([], [], color=style.GREY, label="background", **_BACKGROUND))
     top = _HISTOGRAM_ROOM * max(tops, default=1.0)
     highest = max((float(entry.histogram.counts.max()) for entry in fitted), default=1.0)
     # without events a peak's height may be 0

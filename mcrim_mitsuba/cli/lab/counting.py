@@ -53,6 +53,17 @@ class _Window(options.Written):
     _Window(),
     "Bins to fit, in photons, or in channels with --calibration (default: chosen about the peak).",
 )
+@click.option(
+    "--step", is_flag=True, help="Fit a continuum too that ends under the peak, as Compton's does."
+)
+@option(
+    "--escape-keV",
+    "KEV[:SHARE],...",
+    "Quanta that leave the crystal, such as 17.4:0.05 or 511: lines below the peak, with events as "
+    "a share of its own, or fitted. Needs --energy-keV.",
+    "escape_keV",
+)
+@option("--energy-keV", options.Number("KEV"), "Energy of the peak, keV.", "energy_keV")
 @options.file(
     "--calibration",
     "Campaign, or a file with its table [calibration]: FILEs are in channels of a digitiser; how "
@@ -79,7 +90,19 @@ class _Window(options.Written):
 @options.figure("the histograms with their fits")
 @options.json_output
 def peak(
-    files, shape, window, calibration_file, lines, map_file, depth_mm, deposits, figure, json_file
+    files,
+    shape,
+    window,
+    step,
+    escape_keV,
+    energy_keV,
+    calibration_file,
+    lines,
+    map_file,
+    depth_mm,
+    deposits,
+    figure,
+    json_file,
 ) -> None:
     """Centroid of the main peak in each histogram, in photons per event.
 
@@ -109,6 +132,12 @@ def peak(
     )
 
     _refuse_unknown(shape)
+    below = _below(escape_keV, energy_keV, step)
+    if lines and (below.step or below.lines):
+        problem = (
+            "--step and --escape-keV beside --lines, which are fitted between their neighbours"
+        )
+        raise InputError(problem, "fit one peak, with --window about it")
     if deposits and not map_file:
         raise InputError("--deposits says where gammas stop on a map", "give --map FILE.nc too")
     inputs = [*files, *filter(None, (calibration_file, map_file, deposits))]
@@ -123,7 +152,7 @@ def peak(
         histogram = read_photons(file, calibration or None)
         with placed(path=histogram.path):
             within = window_of(histogram, window)
-            main = fit_histogram(histogram, shape=shape, window=within)
+            main = fit_histogram(histogram, shape=shape, window=within, below=below)
         fitted.append(FittedHistogram(name, histogram, main))
     peaks = {of.name: of.peak for of in fitted if of.peak is not None}
     notes = [f"{name}: {words}" for name, peak in peaks.items() for words in peak.warnings]
@@ -218,6 +247,27 @@ def _widths(
     }
 
 
+def _below(escape_keV: str | None, energy_keV: float | None, step: bool):
+    """What is fitted below a peak, as the options say it."""
+    from mcrim_mitsuba.laboratory.peak_shapes import Below, escape_lines
+
+    if not escape_keV:
+        return Below(step=step)
+    if energy_keV is None:
+        raise InputError("--escape-keV needs the energy of the peak", "give --energy-keV")
+    quanta = []
+    for text in escape_keV.split(","):
+        quantum, share = (part.strip() for part in text.partition(":")[::2])
+        number = parse_number("--escape-keV", quantum)
+        if not 0 < number < energy_keV:
+            problem = f"--escape-keV {number:g} of a peak of {energy_keV:g} keV"
+            raise InputError(problem, "give energies above 0, below --energy-keV")
+        quanta.append((number, parse_number("the share", share) if share else None))
+        if quanta[-1][1] is not None and not 0 < quanta[-1][1] < 1e6:
+            raise InputError(f"a share of {share} escapes", "give events over those of the peak")
+    return Below(escape_lines(energy_keV, quanta), step)
+
+
 def _refuse_unknown(shape: str) -> None:
     """Refuse a shape that there is not."""
     if shape not in _SHAPES:
@@ -239,7 +289,7 @@ def _refuse_duplicates(files: tuple[str, ...]) -> None:
 
 _OF_PEAK = (
     "shape centroid centroid_sigma width width_sigma intrinsic_spread events chi2 ndf p_value "
-    "low high warnings"
+    "low high warnings **fitted_below"
 )
 
 
