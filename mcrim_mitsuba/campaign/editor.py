@@ -20,7 +20,7 @@ import tomlkit
 from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.known_physics import CRYSTAL_INDEX, INDEX, material_of
-from mcrim_mitsuba.campaign.measurements import ENERGY, KIND, SAMPLE, Measurements
+from mcrim_mitsuba.campaign.measurements import ENERGY, KIND, SAMPLE, SHARED, Measurements
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.raw_data import put_numbers, table_in
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedReading
@@ -308,6 +308,8 @@ def measurement_cells(measurements: Measurements) -> dict[str, list[str]]:
         cells["group"] = [reading.group or "" for reading in readings]
         sigmas = (reading.group_sigma for reading in readings)
         cells["group_sigma"] = ["" if sigma is None else f"{sigma:g}" for sigma in sigmas]
+    if any(reading.shared for reading in readings):
+        cells[SHARED] = [" ".join(f"{of:g}" for of in reading.shared) for reading in readings]
     return cells
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,7 @@ _NUMBERS = ("signal", "sigma")
 _HISTOGRAM = "histogram"
 _WINDOW = ("window_low", "window_high")
 #: Columns that hold no numbers.
-_TEXTS = ("label", "histogram", "group", "kind", "sample")
+_TEXTS = ("label", "histogram", "group", "kind", "sample", "shared")
 #: An error in per cent.
 _SHARE = re.compile(r"([0-9]+\.?[0-9]*) ?%")
 _OPTIONAL = ("use", "group", "group_sigma")
@@ -41,7 +41,9 @@ SAMPLE = "sample"
 #: Energy of a row's line: the light is in proportion to it.
 ENERGY = "energy_keV"
 _SIGNALS = {LIGHT: "light signal", TRANSMITTANCE: TRANSMITTANCE}
-_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, KIND, SAMPLE, ENERGY)
+#: Errors that readings share, such as a common background's.
+SHARED = "shared"
+_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, KIND, SAMPLE, ENERGY, SHARED)
 _HEADERS = "the header is label,signal,sigma,... or label,histogram,..."
 
 
@@ -65,6 +67,8 @@ class Reading:
     group: str | None = None
     #: Relative error (0.02 is 2 %) that all rows of the group share; None without a group.
     group_sigma: float | None = None
+    #: What independent sources of errors move it by that other readings share, in its unit.
+    shared: tuple[float, ...] = ()
     #: Line in the file; the first mounting's where the reading comes from histograms.
     line: int = 0
     #: The file with the histogram; None where the row gives numbers.
@@ -153,7 +157,7 @@ def read_table(
     decimal points or commas, in the encodings of `core.files.read_table_text`. Columns: label;
     signal and sigma, or histogram (a file; relative paths begin at this file's folder) with
     window_low and window_high, or all of them, with the cells of one kind empty; optionally use,
-    group with group_sigma, sample, energy_keV, any parameters of the scene
+    group with group_sigma, shared, sample, energy_keV, any parameters of the scene
     (`SceneFile.parameters`), cells of the same kind as these, and names of `effects`, which 0 and 1
     switch row by row. Lines that begin with # are comments.
 
@@ -296,6 +300,7 @@ class _Cells(dict[str, str]):
             use=use,
             group=group,
             group_sigma=group_sigma,
+            shared=tuple(self._shared()),
             line=self.line,
             histogram=histogram,
             window=window,
@@ -408,6 +413,11 @@ class _Cells(dict[str, str]):
             problem = f"group_sigma = {group_sigma:g} is not between 0 and 1"
             raise self.refusal("group_sigma", problem, "it is a relative error: write 0.02 for 2 %")
         return group, group_sigma
+
+    def _shared(self) -> Iterator[float]:
+        """Errors that it shares with other readings, one for each source, with blanks between."""
+        for text in self.get(SHARED, "").split():
+            yield parse_number(SHARED, text, **self.place(SHARED))
 
     def _parameters(
         self, scene_parameters: Mapping[str, Value], kind: str, switches: Collection[str]

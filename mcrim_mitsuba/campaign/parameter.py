@@ -7,13 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
 from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.entries import SCALE, choice, number_within
 from mcrim_mitsuba.campaign.measurements import Measurements
-from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value, parse_number, unit_of, value_text
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
@@ -365,9 +361,12 @@ def read_light_yield(
 
 
 def read_detector(
-    document: TomlDocument, scene: SceneFile, measurements: Measurements
+    document: TomlDocument, scene: SceneFile, measurements: Measurements, scale_sigma: float
 ) -> DetectorTerms:
-    """What ``[light_yield]``, and the scene of the window, say; raises InputError with the line."""
+    """What ``[light_yield]``, and the scene of the window, say; raises InputError with the line.
+
+    `scale_sigma` is what readings share by their calibration (`campaign.calibration`).
+    """
     table = document.table(schema.YIELD_TABLE)
     known: dict[str, tuple[float | None, float]] = {}
     for name in (schema.COLLECTION, schema.CROSSTALK, schema.AFTERPULSING):
@@ -395,42 +394,8 @@ def read_detector(
         cells=cells,
         cells_sigma=cells_sigma,
         shared_sigma=number_within(table, schema.SHARED_SIGMA, schema.SHARED) or 0.0,
-        scale_sigma=read_common_errors(document).scale_sigma,
+        scale_sigma=scale_sigma,
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class CommonErrors:
-    """Errors that all readings of light share, by the calibration of a digitiser's channels.
-
-    That of the scale is the light yield's alone; the others move readings against each other.
-    """
-
-    #: Relative standard error of the scale.
-    scale_sigma: float = 0.0
-    #: Of what is subtracted of all readings, in their unit; of k in true = read / (1 - k read),
-    #: one over their unit.
-    offset_sigma: float = 0.0
-    nonlinearity_sigma: float = 0.0
-
-    def moved(self, signals: Array, of_light: NDArray[np.bool_]) -> Array:
-        """(readings, sources) what standard errors do to readings, of the sources that there are.
-
-        `signals`, (readings,), are what they read; a transmittance is not moved.
-        """
-        sources = (
-            np.full(len(signals), self.offset_sigma),
-            self.nonlinearity_sigma * np.square(signals),
-        )
-        moved = [np.where(of_light, source, 0.0) for source in sources if source.any()]
-        return np.stack(moved, axis=1) if moved else np.zeros((len(signals), 0))
-
-
-def read_common_errors(document: TomlDocument) -> CommonErrors:
-    """``[calibration]`` in plain numbers; raises InputError with the line."""
-    table = document.table(schema.CALIBRATION_TABLE)
-    errors = {name: number_within(table, name, schema.COMMON) or 0.0 for name in schema.COMMON}
-    return CommonErrors(**errors)
 
 
 def _window_index(document: TomlDocument, scene: SceneFile, measurements: Measurements) -> float:

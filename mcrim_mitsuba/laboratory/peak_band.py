@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, asdict, dataclass, replace
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -108,6 +108,8 @@ class Peak:
     #: Centres of the first and last bin that were fitted.
     low: float
     high: float
+    #: (bins,) By how much a count more in each of the fitted bins moves the centroid.
+    per_count: Array = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
     #: What the reader must know before using the centroid, a sentence each.
     warnings: tuple[str, ...] = ()
     #: The fit of the other shape; None where it cannot be fitted.
@@ -211,6 +213,7 @@ def fit_band(
     covariance = np.zeros((len(p), len(p)))
     of_counts = of_model if variances is None else variances
     covariance[np.ix_(free, free)] = _inverse_information(slopes[free], of_counts)
+    per_count = covariance[1] @ (slopes / of_counts)
     ndf = int(len(values) - free.sum())
     p_value = float(chdtrc(ndf, chi2))
     covariance *= max(chi2 / ndf, 1.0) if p_value < LEAST_P else 1.0
@@ -238,6 +241,7 @@ def fit_band(
         p_value=p_value,
         low=float(values[0]),
         high=float(values[-1]),
+        per_count=per_count,
     )
     return peak, p[:_STEP], bool(p[0] ** 2 > _STANDS_OUT**2 * covariance[0, 0])
 

@@ -12,10 +12,10 @@ from trials.digitiser import ALPHA_ABS, ALPHA_SCAT, EFFICIENCY, ENERGY_KEV, LIGH
 from trials.digitiser import write_campaign as write
 from trials.surface_model import CampaignModel
 
+from mcrim_mitsuba.campaign.calibration import CommonErrors
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import write_plain
 from mcrim_mitsuba.campaign.measurements import read_table
-from mcrim_mitsuba.campaign.parameter import CommonErrors
 from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 
@@ -102,6 +102,30 @@ def test_the_plain_form_shares_the_same(campaign, tmp_path):
     ):
         assert one.value == pytest.approx(other.value, rel=1e-4)
         assert one.sigma == pytest.approx(other.sigma, rel=1e-4)
+
+
+def test_a_common_background_correlates_readings_that_lie_on_it_alike(folder, tmp_path):
+    """Of two mountings, each its own reading, and one elsewhere; in the plain form as well."""
+    again = drawn(tmp_path, 2).parent / "0.csv"
+    (folder / "again.csv").write_bytes(again.read_bytes())
+    rows = "label,histogram,n_gap\na,0.csv,1.0\nb,again.csv,1.0\nc,1.csv,1.46\n"
+    (folder / "three.csv").write_text(rows)
+    text = (folder / "campaign.toml").read_text()
+    (folder / "three.toml").write_text(text.replace("readings.csv", "three.csv"))
+    campaign = read_campaign(folder / "three.toml")
+    a, b, c = campaign.measurements.readings
+    assert len(a.shared) == len(b.shared) == 2 and not c.shared
+    peaks = [of.mountings[0].peak.centroid_sigma for of in campaign.raw.readings.values()]
+    for reading, sigma in zip((a, b, c), peaks, strict=True):
+        assert math.hypot(reading.sigma, *reading.shared) == pytest.approx(sigma, rel=1e-3)
+    errors = CampaignModel(campaign, couplings())
+    covariance = fit_model(errors).minimum.weights.errors.total
+    offset = campaign.common_errors.offset_sigma**2
+    assert covariance[0, 1] - offset == pytest.approx(np.dot(a.shared, b.shared))
+    assert covariance[0, 2] == pytest.approx(offset) and np.dot(a.shared, b.shared) > 0
+    write_plain(campaign, tmp_path / "plain.toml")
+    plain = read_campaign(tmp_path / "plain.toml")
+    assert [r.shared for r in plain.measurements.readings] == [a.shared, b.shared, ()]
 
 
 def test_every_step_is_shown(folder, campaign, mcrim, tmp_path):

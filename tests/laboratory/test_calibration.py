@@ -9,14 +9,23 @@ import numpy as np
 import pytest
 from refusals import refusal
 from scipy.stats import chi2, norm
-from trials.digitiser import SILICON, TUBE, fit_photoelectrons, fit_subtracted, spectrum
+from trials.digitiser import (
+    SILICON,
+    TUBE,
+    background,
+    fit_photoelectrons,
+    fit_subtracted,
+    spectrum,
+)
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.laboratory import digitiser
 from mcrim_mitsuba.laboratory.calibration import (
     ChannelCalibration,
     Gain,
+    background_noise,
     calibrated,
+    combined_photons,
     fit_histogram,
     photons_of,
     window_of,
@@ -161,6 +170,49 @@ def test_channels_become_photoelectrons():
 def test_subtracted_backgrounds_have_honest_errors(signal_to_background):
     pulls = np.concatenate([fit_subtracted(signal_to_background, 8, n) for n in range(4)])
     assert_honest(pulls.T[0])
+
+
+UNDER = 400 * background(512, 1.0)
+RUN_S, LIGHT_S = 200.0, 600.0
+
+
+def subtracted(run, counts):
+    """A peak of one photoelectron per channel, its background subtracted, and its fit."""
+    calibration = ChannelCalibration(
+        gain=Gain(value=1.0, sigma=0.0),
+        pedestal=Pedestal(100.0, 0.0),
+        background=spectrum(run, RUN_S),
+    )
+    histogram = calibrated(spectrum(counts, LIGHT_S), calibration)
+    return histogram, fit_histogram(histogram, shape="gaussian")
+
+
+def test_the_noise_of_a_common_background_is_correlated():
+    """Readings of one run: pulls of their difference and of their sum; alike, they share a half."""
+    random, peak = np.random.default_rng(4), 8000 * norm.pdf(np.arange(512), 300, 18.5)
+    pulls, shares = [], []
+    for _ in range(12):
+        run = random.poisson(UNDER / 3).astype(float)
+        peaks = [subtracted(run, random.poisson(UNDER + peak).astype(float)) for _ in range(2)]
+        combined, owns, noises = zip(*(combined_photons([peak]) for peak in peaks), strict=True)
+        covariance = np.diag(np.square(owns)) + np.array(noises) @ np.array(noises).T
+        for mean, peak_of in zip(combined, peaks, strict=True):
+            assert mean.sigma == pytest.approx(peak_of[1].centroid_sigma, rel=1e-3)
+        first, second = (mean.mean - 200.0 for mean in combined)
+        for signs, deviation in (((1, -1), first - second), ((1, 1), first + second)):
+            pulls.append(deviation / math.sqrt(np.array(signs) @ covariance @ signs))
+        shares.append(covariance[0, 1] / covariance[0, 0])
+    assert_honest(pulls)
+    assert 0.3 < np.mean(shares) < 0.7
+    # to first order as the fit moves with the run
+    run = UNDER / 3
+    histogram, fit = subtracted(run, UNDER + peak)
+    noise, centroids = background_noise(histogram, fit), []
+    for sign in (1, -1):
+        more = run + sign * np.sqrt(run) * (np.arange(512) > 290)
+        centroids.append(subtracted(more, UNDER + peak)[1].centroid)
+    moved = 0.5 * (centroids[0] - centroids[1])
+    assert noise[291:].sum() == pytest.approx(moved, rel=0.15)
 
 
 def test_dead_time_is_taken_off():

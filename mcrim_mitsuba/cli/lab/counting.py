@@ -119,7 +119,6 @@ def peak(
     from mcrim_mitsuba.campaign.editor import calibration_json
     from mcrim_mitsuba.laboratory.calibration import (
         fit_histogram,
-        photons_of,
         read_photons,
         window_of,
     )
@@ -156,8 +155,7 @@ def peak(
         fitted.append(FittedHistogram(name, histogram, main))
     peaks = {of.name: of.peak for of in fitted if of.peak is not None}
     notes = [f"{name}: {words}" for name, peak in peaks.items() for words in peak.warnings]
-    values = {name: photons_of(of, peak) for name, of, peak, _ in fitted if peak is not None}
-    combined, outliers, of_mean = _combined(values)
+    combined, outliers, of_mean = _combined(fitted)
     notes += of_mean
     document = {
         "histograms": [
@@ -208,14 +206,15 @@ def _lines(fitted: list, energies: str | None) -> tuple[dict, list[dict]]:
     ]
 
 
-def _combined(values: dict[str, tuple[float, float]]):
+def _combined(fitted: list):
     """The mean of several mountings, None of one; names of outliers among them, and notes."""
-    from mcrim_mitsuba.laboratory.peak import combine
+    from mcrim_mitsuba.laboratory.calibration import combined_photons
 
-    if len(values) < 2:
+    peaks = {name: (of, peak) for name, of, peak, _ in fitted if peak is not None}
+    if len(peaks) < 2:
         return None, [], []
-    combined = combine(*zip(*values.values(), strict=True))
-    outliers = [list(values)[i] for i in combined.outliers]
+    combined, _, _ = combined_photons(list(peaks.values()))
+    outliers = [list(peaks)[i] for i in combined.outliers]
     notes = list(combined.warnings)
     if outliers:
         notes.append(f"outlier: {', '.join(outliers)}")
