@@ -9,14 +9,8 @@ import numpy as np
 import pytest
 from refusals import refusal
 from scipy.stats import chi2, norm
-from trials.digitiser import (
-    SILICON,
-    TUBE,
-    background,
-    fit_photoelectrons,
-    fit_subtracted,
-    spectrum,
-)
+from trials.digitiser import SILICON, TUBE, fit_photoelectrons, fit_subtracted, spectrum
+from trials.digitiser import background as room
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.laboratory import digitiser
@@ -172,7 +166,7 @@ def test_subtracted_backgrounds_have_honest_errors(signal_to_background):
     assert_honest(pulls.T[0])
 
 
-UNDER = 400 * background(512, 1.0)
+UNDER = 400 * room(512, 1.0)
 RUN_S, LIGHT_S = 200.0, 600.0
 
 

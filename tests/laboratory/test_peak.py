@@ -421,7 +421,7 @@ def test_lists_of_events_are_sorted_into_bins(tmp_path):
     assert np.array_equal(read.counts, counts[: len(read.counts)])
     # Freedman and Diaconis: 2 IQR / n^(1/3)
     values = np.random.default_rng(1).normal(40, 6, 8000)
-    path.write_text("".join(f"{value:.6f}\n" for value in values))
+    path.write_text("charge\n" + "".join(f"{value:.6f}\n" for value in values))
     read = read_histogram(path)
     low, high = np.percentile(values, (25, 75))
     assert read.photons[1] - read.photons[0] == pytest.approx(2 * (high - low) / 20, rel=1e-4)
@@ -429,7 +429,7 @@ def test_lists_of_events_are_sorted_into_bins(tmp_path):
     peak = fit_peak(read.photons, read.counts)
     assert abs(peak.centroid - 40) < 4 * peak.centroid_sigma < 0.8
     # steps of the electronics make no comb
-    path.write_text("".join(f"{0.25 * round(4 * value):.2f}\n" for value in values))
+    path.write_text("charge\n" + "".join(f"{0.25 * round(4 * value):.2f}\n" for value in values))
     read = read_histogram(path)
     assert read.photons[1] - read.photons[0] == pytest.approx(0.75)
     assert fit_peak(read.photons, read.counts).p_value > 0.001
@@ -502,7 +502,7 @@ def test_a_pedestal_far_away_makes_no_wide_bins(tmp_path, width):
     random = np.random.default_rng(12)
     events = np.concatenate([random.normal(50, width, 20_000), random.exponential(3, 10_000)])
     path = tmp_path / "events.txt"
-    path.write_text("".join(f"{event:.4f}\n" for event in events))
+    path.write_text("charge\n" + "".join(f"{event:.4f}\n" for event in events))
     read = read_histogram(path)
     assert read.photons[1] - read.photons[0] < 0.6 * width
     assert read.counts.sum() == 30_000
