@@ -26,7 +26,7 @@ from mcrim_mitsuba.campaign.raw_data import put_numbers, table_in
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedReading
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.errors import InputError, visible
-from mcrim_mitsuba.core.files import attributes, beside, read_text, write_text
+from mcrim_mitsuba.core.files import attributes, beside, inside, read_text, write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.effects.effect import OLD_NAMES
@@ -215,7 +215,7 @@ def _comments(lines: Iterable[str]) -> Iterator[str]:
 def _named(raw: RawData, paths: Iterable[str | Path]) -> str:
     """``air_1.csv (0123456789ab), air_2.csv (...)``."""
     hashes = {file.path: file.sha256[:_SHORT_HASH] for file in raw.files}
-    return ", ".join(f"{path.name} ({hashes[path]})" for path in map(Path, paths))
+    return ", ".join(f"{path.name} ({hashes[inside(path)[0]]})" for path in map(Path, paths))
 
 
 def _origins(raw: RawData) -> Iterator[str]:

@@ -362,7 +362,7 @@ class _Cells(dict[str, str]):
                 problem = f"{number} beside a histogram, which gives it"
                 raise self.refusal(number, problem, f"empty the cell, or that of {_HISTOGRAM}")
         path = files.beside(self.path, name)
-        if not files.is_there(path):
+        if not files.is_there(files.inside(path)[0]):
             problem = f"{name} does not exist"
             mend = files.look_around(path, f"paths are relative to {self.path.name}")
             raise self.refusal(_HISTOGRAM, problem, mend)

@@ -14,7 +14,7 @@ from typing import Any
 from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.entries import choice, number_within
 from mcrim_mitsuba.core.errors import said_by
-from mcrim_mitsuba.core.files import is_there, look_around, resolved
+from mcrim_mitsuba.core.files import inside, is_there, look_around, resolved
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, MM_PER_CM
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, is_plain_number
 from mcrim_mitsuba.laboratory.light_yield import (
@@ -306,7 +306,7 @@ def _has(table: TomlTable, raw: str, belonging: Iterable[str], replaced: Iterabl
 def file_in(table: TomlTable, name: str, given: Any) -> Path:
     """A file that an entry names; raises InputError with the line, if it does not exist."""
     path = table.path_of(name, given)
-    if not is_there(path):
+    if not is_there(inside(path)[0]):
         problem = f"{path} does not exist"
         mend = look_around(path, "paths are relative to the campaign file")
         raise table.refusal(name, problem, mend)

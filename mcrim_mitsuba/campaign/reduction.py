@@ -16,7 +16,7 @@ from mcrim_mitsuba.campaign.entries import SOURCE_DEPTH
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import read_bytes, sha256
+from mcrim_mitsuba.core.files import inside, read_bytes, sha256
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.laboratory.calibration import (
@@ -361,5 +361,6 @@ def _files(raw: RawData) -> Iterator[RawFile]:
         named += [(role, run.path) for role, run in zip(roles, runs, strict=True) if run]
     for label, reading in raw.readings.items():
         named += [(f"histogram of {label}", mounting.file) for mounting in reading.mountings]
-    for role, path in named:
+    for role, of_role in named:
+        path, _ = inside(of_role)
         yield RawFile(role, path, sha256(read_bytes(path, LIMIT_MB)))

@@ -17,6 +17,7 @@ from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import write_plain
 from mcrim_mitsuba.campaign.measurements import read_table
 from mcrim_mitsuba.inference.fit import fit_model
+from mcrim_mitsuba.laboratory.digitiser import read_channels
 from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 
 YIELD = "light_yield_ph_per_keV"
@@ -126,6 +127,26 @@ def test_a_common_background_correlates_readings_that_lie_on_it_alike(folder, tm
     write_plain(campaign, tmp_path / "plain.toml")
     plain = read_campaign(tmp_path / "plain.toml")
     assert [r.shared for r in plain.measurements.readings] == [a.shared, b.shared, ()]
+
+
+def test_spectra_may_all_lie_in_one_root_file(folder, campaign, tmp_path):
+    uproot = pytest.importorskip("uproot")
+    text, rows = ((folder / name).read_text() for name in ("campaign.toml", "readings.csv"))
+    with uproot.recreate(tmp_path / "runs.root") as file:
+        for name in ("few", "dark", "room", "0", "1"):
+            read = read_channels(folder / f"{name}.csv")
+            file[f"h{name}"] = read.counts, np.append(read.channels, len(read.channels)) - 0.5
+            text = text.replace(f'"{name}.csv"', f'"runs.root:h{name}"')
+            rows = rows.replace(f"{name}.csv", f"runs.root#h{name}")
+    times = "live_time_s = 600\nbackground_live_time_s = 900\n[light_yield]"
+    (tmp_path / "campaign.toml").write_text(text.replace("[light_yield]", times))
+    (tmp_path / "readings.csv").write_text(rows)
+    read = read_campaign(tmp_path / "campaign.toml")
+    for one, other in zip(read.measurements.readings, campaign.measurements.readings, strict=True):
+        assert (one.signal, one.sigma) == pytest.approx((other.signal, other.sigma), rel=1e-6)
+    assert {file.path.name for file in read.raw.files} == {"runs.root"}
+    write_plain(read, tmp_path / "plain.toml")
+    assert "runs.root#h0" in (tmp_path / "plain.csv").read_text()
 
 
 def test_every_step_is_shown(folder, campaign, mcrim, tmp_path):

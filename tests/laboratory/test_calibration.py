@@ -27,6 +27,7 @@ from mcrim_mitsuba.laboratory.calibration import (
 )
 from mcrim_mitsuba.laboratory.digitiser import read_channels
 from mcrim_mitsuba.laboratory.energy_scale import intrinsic_width, lines_of
+from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.single_photoelectron import (
     Pedestal,
     chances,
@@ -279,6 +280,22 @@ def test_histograms_of_root_are_read(tmp_path):
         file["h"] = np.histogram(np.arange(64).repeat(np.arange(64)), edges)
     read = read_channels(path)
     assert np.array_equal(read.counts, np.arange(64)) and np.array_equal(read.channels, read.counts)
+
+
+def test_histograms_of_root_are_named_where_there_are_several(tmp_path):
+    uproot = pytest.importorskip("uproot")
+    path, edges = tmp_path / "runs.root", np.arange(65) - 0.5
+    with uproot.recreate(path) as file:
+        for place, name in enumerate(("dry", "wet/far")):
+            file[name] = np.histogram(np.arange(64).repeat(np.arange(64) + place), edges)
+    for separator in ":#":
+        read = read_channels(f"{path}{separator}wet/far")
+        assert read.counts[0] == 1 and read.comments == ("wet/far",)
+    assert read_channels(f"{path}:dry").counts[0] == 0
+    for named, says in (("", "none of them named; "), (":wett", "none of them wett; ")):
+        says += "name one, as runs.root:dry, of dry, wet/far"
+        assert ".root files hold channels" in refusal(read_histogram, f"{path}{named}")
+        assert f"2 histograms (TH1) in one file, {says}" in refusal(read_channels, f"{path}{named}")
 
 
 def test_what_is_missing_is_said_with_what_to_install(monkeypatch):

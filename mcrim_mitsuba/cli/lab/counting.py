@@ -15,6 +15,7 @@ from mcrim_mitsuba.core.files import (
     STDOUT,
     attributes,
     first_duplicates,
+    inside,
     refuse_outputs,
     resolved,
     write_text,
@@ -139,7 +140,10 @@ def peak(
         raise InputError(problem, "fit one peak, with --window about it")
     if deposits and not map_file:
         raise InputError("--deposits says where gammas stop on a map", "give --map FILE.nc too")
-    inputs = [*files, *filter(None, (calibration_file, map_file, deposits))]
+    inputs = [
+        *(inside(Path(file))[0] for file in files),
+        *filter(None, (calibration_file, map_file, deposits)),
+    ]
     further = {"calibration": calibration_file, "lines": lines, "widths": map_file}
     showing.refuse_places(json_file, inputs, figure, *(name for name, of in further.items() if of))
     _refuse_duplicates(files)
