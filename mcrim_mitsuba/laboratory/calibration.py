@@ -112,6 +112,11 @@ class ChannelCalibration:
                 f"photoelectrons are fired cells, and crosstalk fires more of them: crosstalk = "
                 f"{fit.crosstalk:.3g}, crosstalk_sigma = {fit.crosstalk_sigma:.1g} in [light_yield]"
             )
+            notes.append(
+                "few photoelectrons do not tell how many cells there are: take the number from the "
+                "data sheet, or from two signals by `mcrim lab cells`, for the effect "
+                "cell_saturation"
+            )
         return tuple(notes)
 
     def light(self, photoelectrons: float) -> tuple[float, float]:

@@ -422,6 +422,16 @@ def of_gammas(
     )
 
 
+def of_cells(value: float, sigma: float) -> Description:
+    """Cells of a silicon photomultiplier, and what a campaign says of them."""
+    return described(
+        "cells",
+        strong(f"{pdg(value, sigma)} cells"),
+        f'in a campaign: effects = ["cell_saturation"], and prior = {value:.0f}, prior_sigma = '
+        f"{sigma:.0f} under [parameters.cells]",
+    )
+
+
 #: p-value below which couplings are said to disagree.
 _LEAST_P_VALUE = 0.01
 
