@@ -12,10 +12,13 @@ from trials.digitiser import ALPHA_ABS, ALPHA_SCAT, EFFICIENCY, ENERGY_KEV, LIGH
 from trials.digitiser import write_campaign as write
 from trials.surface_model import CampaignModel
 
+from mcrim_mitsuba.app.page import make_page
+from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.campaign.calibration import CommonErrors
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import write_plain
 from mcrim_mitsuba.campaign.measurements import read_table
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.laboratory.digitiser import read_channels
 from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
@@ -167,6 +170,16 @@ def test_every_step_is_shown(folder, campaign, mcrim, tmp_path):
     )
     peak = json.loads(shown)["histograms"][0]["peak"]
     assert peak["centroid"] == pytest.approx(campaign.measurements.readings[0].signal, rel=1e-5)
+
+
+def test_the_page_shows_every_step(campaign, tmp_path):
+    session = Session(campaign, Run(), tmp_path)
+    session.jobs.close(60)
+    page = make_page(session, "/key/").test_client()
+    shown = page.get("/key/").get_data(as_text=True)
+    assert all(f'src="picture/{kind}"' in shown for kind in ("histograms", "calibration"))
+    assert page.get("/key/picture/calibration").data.startswith(b"\x89PNG")
+    assert page.get("/key/picture/spectra").status_code == 404
 
 
 ENTRIES = 'single_photoelectron = "few.csv"\npedestal = "dark.csv"'
