@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mcrim_mitsuba.campaign import entries as schema
-from mcrim_mitsuba.campaign.calibration import CommonErrors, read_common_errors
+from mcrim_mitsuba.campaign.calibration import CommonErrors
 from mcrim_mitsuba.campaign.entries import choice, number_within
 from mcrim_mitsuba.campaign.known_physics import with_known_physics
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_table
@@ -291,14 +291,9 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
     of_rows = switchable(effects, scene, document)
     table = read_table(_sibling(entries, "measurements"), scene.parameters, of_rows)
     document, measurements, raw = reduce_raw_data(document, table, scene)
-    common = read_common_errors(document)
     of_effects = {p.name for effect in effects.values() for p in effect.parameters}
     samples, measurements = read_samples(
-        document,
-        scene,
-        measurements,
-        of_effects | {*scene.parameters, EFFICIENCY_FACTOR},
-        scale_sigma=common.scale_sigma,
+        document, scene, measurements, of_effects | {*scene.parameters, EFFICIENCY_FACTOR}
     )
     _refuse_rows_the_scene_cannot_take(scene, measurements)
     sizes = {
@@ -318,7 +313,6 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         effects_folder=folder,
         catalogue={**effects, **wrong},
         tolerances=tolerances,
-        common_errors=common,
         raw=raw,
         beam=_read_beam(document, scene, measurements),
         executed=() if folder is None else (whose(folder),),
@@ -355,8 +349,7 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
     scale = parameters.pop(SCALE, None)
     for sample in campaign.samples.values():
         parameters |= {parameter.name: parameter for parameter in sample.own.values()}
-    common = campaign.common_errors
-    detector = read_detector(document, campaign.scene, measurements, common.scale_sigma)
+    detector = read_detector(document, campaign.scene, measurements)
     own_scales = any(SCALE in sample.own for sample in campaign.samples.values())
     raw = campaign.raw.efficiency if campaign.raw else None
     parts = raw.contributions if raw else None
@@ -365,7 +358,13 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
         parameters[EFFICIENCY_FACTOR] = CampaignParameter(
             EFFICIENCY_FACTOR, 1.0, *_FACTOR_RANGE, prior=1.0, prior_sigma=sigma
         )
-    return replace(campaign, parameters=parameters, scale=scale, light_yield=light_yield)
+    return replace(
+        campaign,
+        parameters=parameters,
+        scale=scale,
+        light_yield=light_yield,
+        common_errors=detector.common,
+    )
 
 
 def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -288,7 +288,7 @@ class _Cells(dict[str, str]):
             problem = "a transmittance with a histogram"
             raise self.refusal(_HISTOGRAM, problem, "give its signal and sigma")
         group, group_sigma = self._group()
-        window = self._window(histogram)
+        window, shared = self._window(histogram), self.get(SHARED, "").split()
         parameters = self._parameters(scene_parameters, kind, switches)
         use = "use" not in self or self._switch("use", "write 1 to fit it, 0 not to")
         mend = "the column switches the effect: write 1 where a row has it, 0 where not"
@@ -300,7 +300,7 @@ class _Cells(dict[str, str]):
             use=use,
             group=group,
             group_sigma=group_sigma,
-            shared=tuple(self._shared()),
+            shared=tuple(parse_number(SHARED, text, **self.place(SHARED)) for text in shared),
             line=self.line,
             histogram=histogram,
             window=window,
@@ -413,11 +413,6 @@ class _Cells(dict[str, str]):
             problem = f"group_sigma = {group_sigma:g} is not between 0 and 1"
             raise self.refusal("group_sigma", problem, "it is a relative error: write 0.02 for 2 %")
         return group, group_sigma
-
-    def _shared(self) -> Iterator[float]:
-        """Errors that it shares with other readings, one for each source, with blanks between."""
-        for text in self.get(SHARED, "").split():
-            yield parse_number(SHARED, text, **self.place(SHARED))
 
     def _parameters(
         self, scene_parameters: Mapping[str, Value], kind: str, switches: Collection[str]

@@ -8,6 +8,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 
 from mcrim_mitsuba.campaign import entries as schema
+from mcrim_mitsuba.campaign.calibration import CommonErrors, read_common_errors
 from mcrim_mitsuba.campaign.entries import SCALE, choice, number_within
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
@@ -254,8 +255,8 @@ class DetectorTerms:
     cells_sigma: float
     #: Relative error of the efficiency that all samples share; 0 where none is named.
     shared_sigma: float
-    #: Relative error of all readings' scale, by the calibration of channels.
-    scale_sigma: float = 0.0
+    #: What all readings of light share by the calibration of channels.
+    common: CommonErrors
 
     @property
     def relative_sigma(self) -> float:
@@ -269,7 +270,7 @@ class DetectorTerms:
         return {
             schema.COLLECTION: collection,
             schema.CROSSTALK: self.cells_sigma,
-            PHOTOELECTRON_SCALE: self.scale_sigma,
+            PHOTOELECTRON_SCALE: self.common.scale_sigma,
         }
 
     @property
@@ -361,11 +362,11 @@ def read_light_yield(
 
 
 def read_detector(
-    document: TomlDocument, scene: SceneFile, measurements: Measurements, scale_sigma: float
+    document: TomlDocument, scene: SceneFile, measurements: Measurements
 ) -> DetectorTerms:
-    """What ``[light_yield]``, and the scene of the window, say; raises InputError with the line.
+    """What ``[light_yield]``, the scene of the window and ``[calibration]`` say of the detector.
 
-    `scale_sigma` is what readings share by their calibration (`campaign.calibration`).
+    Raises InputError with the line.
     """
     table = document.table(schema.YIELD_TABLE)
     known: dict[str, tuple[float | None, float]] = {}
@@ -394,7 +395,7 @@ def read_detector(
         cells=cells,
         cells_sigma=cells_sigma,
         shared_sigma=number_within(table, schema.SHARED_SIGMA, schema.SHARED) or 0.0,
-        scale_sigma=scale_sigma,
+        common=read_common_errors(document),
     )
 
 

@@ -242,8 +242,8 @@ class PeakEntries:
     quanta: tuple[tuple[float, float | None], ...]
 
     def below(self, energy_keV: float | None) -> Below:
-        """What lies below a peak of this energy; without quanta it need not be known."""
-        return Below(escape_lines(energy_keV, self.quanta) if energy_keV else (), self.step)
+        """What lies below a peak of this energy; raises InputError as `escape_lines` does."""
+        return Below(escape_lines(energy_keV, self.quanta), self.step)
 
 
 def read_peaks(document: TomlDocument) -> PeakEntries:
@@ -252,7 +252,7 @@ def read_peaks(document: TomlDocument) -> PeakEntries:
     step = table.get("step", False)
     if not isinstance(step, bool):
         raise table.refusal("step", "step is not true or false", "write step = true")
-    energies, shares = (_positive(table, name) for name in ("escape_keV", "escape_share"))
+    energies, shares = (_numbers(table, name) for name in ("escape_keV", "escape_share"))
     if shares and len(shares) != len(energies):
         problem = f"{len(shares)} numbers in escape_share for {len(energies)} in escape_keV"
         raise table.refusal("escape_share", problem, "give each quantum its share, or none")
@@ -261,12 +261,12 @@ def read_peaks(document: TomlDocument) -> PeakEntries:
     return PeakEntries(choice(table, "shape", schema.PEAKS) or AUTO, step, quanta)
 
 
-def _positive(table: TomlTable, name: str) -> list[float]:
-    """Numbers above 0 of an entry that is a list of them."""
+def _numbers(table: TomlTable, name: str) -> list[float]:
+    """Numbers of an entry that is a list of them."""
     numbers = table.get(name, [])
-    if isinstance(numbers, list) and all(is_plain_number(n) and 0 < n < 1e6 for n in numbers):
+    if isinstance(numbers, list) and all(map(is_plain_number, numbers)):
         return numbers
-    raise table.refusal(name, f"{name} is no list of numbers above 0", f"write {name} = [17.4]")
+    raise table.refusal(name, f"{name} is no list of numbers", f"write {name} = [17.4]")
 
 
 def read_source_depth(document: TomlDocument) -> AttenuationLength | None:

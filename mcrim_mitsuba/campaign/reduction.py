@@ -207,11 +207,12 @@ def _mounting(
     calibration: ChannelCalibration | None,
 ) -> Mounting:
     """A row's histogram with the peak that was fitted in it."""
-    file, below = row.histogram, entries.below(energy_keV)
+    file = row.histogram
     assert file is not None
     histogram = read_photons(file, calibration)
     try:
         window = window_of(histogram, row.window)
+        below = entries.below(energy_keV)
         peak = fit_histogram(histogram, shape=entries.shape, window=window, below=below)
     except InputError as error:
         if row.window is None:
@@ -295,10 +296,6 @@ def reduce_raw_data(
     source_depth = raw_data.read_source_depth(document)
     calibration = read_calibration(document)
     energy_keV = table_of_yield.number("energy_keV")  # noqa: N806
-    if entries.quanta and energy_keV is None and not all(r.energy_keV for r in table.readings):
-        problem = "escape_keV without the energy of the peaks"
-        mend = f"give energy_keV in [{schema.YIELD_TABLE}], or as a column of the measurements"
-        raise document.refusal(f"{schema.HISTOGRAMS}.escape_keV", problem, mend)
     readings, reduced = _reduce_table(table, entries, energy_keV, calibration)
     measurements = table.with_readings(readings)
     if not (reduced or efficiency or absorption or source_depth):

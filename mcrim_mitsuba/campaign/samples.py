@@ -76,15 +76,11 @@ def of_sample(name: str) -> tuple[str, str] | None:
 
 
 def read_samples(
-    document: TomlDocument,
-    scene: SceneFile,
-    measurements: Measurements,
-    taken: Container[str],
-    scale_sigma: float,
+    document: TomlDocument, scene: SceneFile, measurements: Measurements, taken: Container[str]
 ) -> tuple[dict[str, Sample], Measurements]:
     """``[samples]``, and the readings with the scene parameters of their samples.
 
-    `taken` are names of parameters that samples cannot have, `scale_sigma` as of `read_detector`.
+    `taken` are names of parameters that samples cannot have.
     Raises InputError with the line, if an entry cannot be used, or if samples and readings do not
     belong together.
     """
@@ -107,9 +103,7 @@ def read_samples(
             table = f"[{schema.SAMPLES}.{name}]"
             mend = f"write {name} into a column {COLUMN} of its rows, or remove {table}"
             raise declared.refusal(name, problem, mend)
-    samples = {
-        name: _read_sample(document, name, scene, measurements, scale_sigma) for name in declared
-    }
+    samples = {name: _read_sample(document, name, scene, measurements) for name in declared}
     _refuse_clashes(document, samples.values(), taken)
     return samples, replace(
         measurements,
@@ -129,11 +123,7 @@ def _completed(reading: Reading, samples: Mapping[str, Sample], scene: SceneFile
 
 
 def _read_sample(
-    document: TomlDocument,
-    name: str,
-    scene: SceneFile,
-    measurements: Measurements,
-    scale_sigma: float,
+    document: TomlDocument, name: str, scene: SceneFile, measurements: Measurements
 ) -> Sample:
     """One ``[samples.NAME]``: its scene parameters, its own parameters, its light yield."""
     key = f"{schema.SAMPLES}.{name}"
@@ -149,7 +139,7 @@ def _read_sample(
         parameter = read_parameter(document, of, scene, values, measurements, {}, within=within)
         own[of] = replace(parameter, name=own_name(of, name))
     table = document.table(f"{key}.{schema.YIELD_TABLE}")
-    detector = read_detector(document, scene, measurements, scale_sigma)
+    detector = read_detector(document, scene, measurements)
     light_yield = read_light_yield(document, detector, table.key, schema.SAMPLE)
     if light_yield is not None:
         own.setdefault(SCALE, _scale(name, measurements))

@@ -113,9 +113,8 @@ class ChannelCalibration:
                 f"{fit.crosstalk:.3g}, crosstalk_sigma = {fit.crosstalk_sigma:.1g} in [light_yield]"
             )
             notes.append(
-                "few photoelectrons do not tell how many cells there are: take the number from the "
-                "data sheet, or from two signals by `mcrim lab cells`, for the effect "
-                "cell_saturation"
+                "few photoelectrons do not tell how many cells there are: name the effect "
+                "cell_saturation, with the number of the data sheet as a prior of cells"
             )
         return tuple(notes)
 

@@ -12,7 +12,6 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import brentq
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
@@ -26,8 +25,6 @@ TUBE_SCALE_SIGMA = 0.05
 SCALE = "tube scale"
 CURVE = "quantum efficiency curve"
 EMISSION = "emission spectrum"
-#: Standard errors by which two signals must be bent.
-_BENT = 3.0
 #: Relative: what errors that the points share would have to add before it is said.
 _WORTH_SAYING = 0.01
 
@@ -173,39 +170,6 @@ def fired_cells(
     of_crosstalk = crosstalk_sigma / ((1.0 - crosstalk) * (1.0 - follow))
     relative = math.hypot(of_crosstalk, afterpulsing_sigma / (1.0 + afterpulsing))
     return (1.0 + afterpulsing) / (1.0 - follow), relative
-
-
-def number_of_cells(
-    bright: tuple[float, float], dim: tuple[float, float], part: tuple[float, float]
-) -> tuple[float, float]:
-    """Cells of a silicon photomultiplier by two signals of light, and the standard error.
-
-    The dim one has a known part of the bright one's light; all come with independent errors, the
-    signals in fired cells, of which n photoelectrons on N cells make N (1 - exp(-n / N)) (P. Buzhan
-    et al., Nucl. Instrum. Meth. A 504 (2003) 48): dim = N (1 - (1 - bright / N)^part).
-
-    Raises InputError if the signals are not bent by three standard errors.
-    """
-    (high, high_sigma), (low, low_sigma), (share, share_sigma) = bright, dim, part
-    bend = low - share * high
-    sigma = math.hypot(low_sigma, share * high_sigma, share_sigma * high)
-    if not high > low or not bend > _BENT * sigma:
-        raise InputError(
-            f"{low:.5g} over {high:.5g} is {low / high:.4g}, which is not bent beside a part of "
-            f"{share:.4g}: a straight one would be {share * high:.5g}, ± {sigma:.2g}",
-            "take more light, or the number from the data sheet",
-        )
-
-    def missing(cells: float) -> float:
-        return cells * -math.expm1(share * math.log1p(-high / cells)) - low
-
-    # at the bright signal all cells have fired; far above it nothing is bent
-    cells = float(brentq(missing, high * (1.0 + 1e-12), high * 1e9))
-    dark = 1.0 - high / cells
-    slope = 1.0 - dark**share - share * dark ** (share - 1.0) * high / cells
-    of_high, of_share = share * dark ** (share - 1.0), -cells * dark**share * math.log(dark)
-    whole = math.hypot(of_high * high_sigma, low_sigma, of_share * share_sigma)
-    return cells, whole / abs(slope)
 
 
 def light_yield_by_reference(

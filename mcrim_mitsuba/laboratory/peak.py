@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, stdtr
 
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.rounding import counted, p_equals, pdg
 from mcrim_mitsuba.laboratory.histogram import SHALLOW, Found, main_peak, peak_inside
 from mcrim_mitsuba.laboratory.peak_band import LEAST_P, Peak, fit_band, reaching
@@ -116,7 +116,7 @@ def _likely(fits: dict[str, Peak | None]) -> str:
 def _check(values: Array, shape: str, window: tuple[float, float] | None, whole: bool) -> None:
     """Refuse a shape that is not known or not for such bins, and a window beyond the histogram."""
     if shape not in SHAPES:
-        raise InputError(f"'{shape}' is no shape of a peak", f"give one of {', '.join(SHAPES)}")
+        raise InputError(f"'{shape}' is no shape of a peak", did_you_mean(shape, SHAPES))
     if shape == COUNTING and not whole:
         problem = (
             "the bins are not of whole photon numbers, and the shape 'counting' counts photons"

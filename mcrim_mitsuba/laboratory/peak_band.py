@@ -128,6 +128,11 @@ class Peak:
         step = {"step": self.step, "step_sigma": self.step_sigma} if self.step_sigma else {}
         return step | ({"escape_lines": list(map(asdict, self.lines))} if self.lines else {})
 
+    @property
+    def shares(self) -> list[tuple[float, float | None]]:
+        """Events of the escape lines over those of the peak, and standard errors of fitted ones."""
+        return [(line.share or 0.0, line.share_sigma or None) for line in self.lines]
+
     def background_at(self, values: Array) -> Array:
         """Expected background per bin, with a step."""
         shade, _ = peak_shapes.step(values, self.centroid, self.width)
@@ -148,7 +153,9 @@ class Peak:
 
 #: Where the parameters of a fit are: events, centroid, spread as `peak_shapes.band` has it, the
 #: background at the first and at the last bin, the step, and the share of each escape line.
-_ENDS, _STEP, _SHARES = slice(3, 5), 5, 6
+_ENDS = slice(3, 5)
+_STEP = 5
+_SHARES = 6
 #: Where a share begins.
 _SHARE = 0.05
 #: Widths to which a line reaches.

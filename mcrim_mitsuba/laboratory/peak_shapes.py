@@ -11,7 +11,7 @@ a fit finds. Where the dark counts of a gate were measured, subtract them from t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, fields
 
 import numpy as np
@@ -101,14 +101,22 @@ class Below:
 
 
 def escape_lines(
-    energy_keV: float, quanta: Sequence[tuple[float, float | None]]
+    energy_keV: float | None, quanta: Iterable[tuple[float, float | None]]
 ) -> tuple[EscapeLine, ...]:
-    """Lines of a peak of this energy; quanta, of their energies in keV and shares, are below it."""
-    return tuple(
-        EscapeLine(1.0 - quantum / energy_keV, share)
-        for quantum, share in quanta
-        if quantum < energy_keV
-    )
+    """Lines of a peak of this energy; quanta, by energies in keV and shares, are below it.
+
+    Raises InputError if the energy is not known, or a number of a quantum not above 0.
+    """
+    lines = []
+    for quantum, share in quanta:
+        if energy_keV is None:
+            raise InputError("escape lines without the energy of the peak", "give its energy_keV")
+        if not quantum > 0 or (share is not None and not 0 < share < _MOST_RELATIVE):
+            problem = f"{quantum:g} keV escape, in a share of {share}"
+            raise InputError(problem, "give keV, and events over those of the peak, above 0")
+        if quantum < energy_keV:
+            lines.append(EscapeLine(1.0 - quantum / energy_keV, share))
+    return tuple(lines)
 
 
 def with_lines(

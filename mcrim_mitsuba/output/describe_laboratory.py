@@ -53,7 +53,10 @@ _PEAK = (
     Column("chi2 / ndf", of=_per_ndf),
     Column("p", form=p_text, of="p_value"),
 )
-_BELOW = Column("below it", left=True, of=lambda peak: _below(peak))
+_BELOW = (
+    Column("step per bin", form="±", of="step"),
+    Column("escape lines", of=lambda p: ", ".join(measured(*of).text for of in p.shares)),
+)
 _PEAK_ALONE = (
     Column("fitted bins", of=lambda peak: f"{peak.low:g} to {peak.high:g}"),
     Column("the other shape's", of=lambda peak: _PEAK[1].cell(peak.other) if peak.other else ""),
@@ -132,7 +135,7 @@ def _peaks(
     peaks = list(peaks)
     columns = (*_PEAK, *further)
     if any(peak and peak.fitted_below for _, peak in peaks):
-        columns += (_BELOW,)
+        columns += _BELOW
     rows = (
         (*left, *(column.cell(peak) for column in columns))
         if peak
@@ -140,17 +143,6 @@ def _peaks(
         for left, peak in peaks
     )
     return table(title, (*heads, *columns), rows)
-
-
-def _below(peak: Peak) -> str:
-    """A step and escape lines in words."""
-    words = [f"step {pdg(peak.step, peak.step_sigma)} per bin"] if peak.step_sigma else []
-    words += [
-        f"escape at {line.kept * peak.centroid:.4g}: "
-        f"{pdg(line.share or 0.0, line.share_sigma or None)} of the peak's events"
-        for line in peak.lines
-    ]
-    return ", ".join(words)
 
 
 def _means(title: str, of: str, means: Iterable[tuple[str, Repeated]]) -> list[Piece]:
@@ -419,16 +411,6 @@ def of_gammas(
         f"K X-rays of {100 * stops.escaping:.2g} % escape with {stops.escaping_keV:.3g} keV: "
         f"unresolved, they lower the centroid by {100 * stops.escape_loss:.2g} %",
         f"source: {SOURCE}",
-    )
-
-
-def of_cells(value: float, sigma: float) -> Description:
-    """Cells of a silicon photomultiplier, and what a campaign says of them."""
-    return described(
-        "cells",
-        strong(f"{pdg(value, sigma)} cells"),
-        f'in a campaign: effects = ["cell_saturation"], and prior = {value:.0f}, prior_sigma = '
-        f"{sigma:.0f} under [parameters.cells]",
     )
 
 

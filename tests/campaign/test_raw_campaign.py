@@ -251,7 +251,7 @@ def test_steps_and_escape_lines_are_asked_for_by_the_campaign(folder, mcrim, tmp
             (line,) = peak.lines
             assert (line.kept, line.share) == (pytest.approx(1 - 17.4 / 59.5), 0.04)
             assert peak.step_sigma > 0
-    assert "escape at" in str(histograms_pieces(campaign.raw))
+    assert "escape lines" in str(histograms_pieces(campaign.raw))
     *_, escaping = yield_corrections(campaign, attenuation_length_mm("CaMoO4", 59.5))
     assert escaping.name == "K X-rays that escape" and escaping.applied
     # the same for one histogram
@@ -264,7 +264,7 @@ def test_steps_and_escape_lines_are_asked_for_by_the_campaign(folder, mcrim, tmp
     first = campaign.raw.readings["air"].mountings[0].peak
     assert peak["centroid"] == pytest.approx(first.centroid) and peak["step"] >= 0
     path.write_text(path.read_text().replace("energy_keV = 59.5", ""))
-    assert "escape_keV without the energy of the peaks" in refusal(read_campaign, path)
+    assert "escape lines without the energy of the peak" in refusal(read_campaign, path)
 
 
 def test_errors_that_would_count_twice_or_are_hardly_known_are_said(folder):

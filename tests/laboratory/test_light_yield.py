@@ -21,7 +21,6 @@ from mcrim_mitsuba.laboratory.light_yield import (
     RelativeMeasurement,
     light_yield_by_reference,
     light_yield_ph_per_keV,
-    number_of_cells,
     read_comparison,
 )
 
@@ -297,24 +296,3 @@ def test_a_reference_without_a_table_is_refused(tmp_path):
     file.write_text(EXAMPLE.read_text().split("[reference]")[0])
     refused = refusal(read_comparison, file)
     assert "no table [reference]; write it, with signal, eta" in refused
-
-
-def test_two_signals_tell_the_cells(mcrim):
-    """N (1 - exp(-n / N)) of n and of a part of it; pulls of 400 draws, mean and width to 0.1 %."""
-
-    def fired(n):
-        return -3600 * math.expm1(-n / 3600)
-
-    bright, dim = fired(1500.0), fired(0.112 * 1500.0)
-    assert number_of_cells((bright, 0.0), (dim, 0.0), (0.112, 0.0))[0] == pytest.approx(3600)
-    sigmas, random = (2.0, 0.5, 3e-4), np.random.default_rng(3600)
-    pulls = []
-    for drawn in random.normal((bright, dim, 0.112), sigmas, (400, 3)):
-        cells, sigma = number_of_cells(*zip(drawn, sigmas, strict=True))
-        pulls.append((1 / cells - 1 / 3600) / (sigma / cells**2))
-    assert abs(np.mean(pulls)) < 3.3 / 20 and abs(np.std(pulls) - 1) < 3.3 / math.sqrt(800)
-    straight = (1500.0, 2.0), (168.5, 0.5), (0.112, 3e-4)
-    assert "is not bent beside a part of 0.112" in refusal(number_of_cells, *straight)
-    given = ("--bright", f"{bright}±2", "--dim", f"{dim}±0.5", "--part", "0.112±0.0003")
-    shown = mcrim.shown("lab", "cells", *given)
-    assert "3600 ± " in shown and "prior = 3600, prior_sigma = " in shown

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from mcrim_mitsuba.cli.lab.counting import histogram, peak
-from mcrim_mitsuba.cli.lab.light_yield import cells, light_yield, plan, relative
+from mcrim_mitsuba.cli.lab.light_yield import light_yield, plan, relative
 from mcrim_mitsuba.cli.lab.material import absorption, efficiency, gammas, index
 
 
@@ -17,7 +17,5 @@ def lab() -> None:
     """Raw data: peaks of histograms, detector efficiency, absorption, indices, light yields."""
 
 
-_COUNTED = (peak, histogram, cells)
-_MATERIAL = (efficiency, absorption, index, gammas)
-for verb in (*_COUNTED, *_MATERIAL, light_yield, relative, plan):
+for verb in (peak, histogram, efficiency, absorption, light_yield, relative, plan, index, gammas):
     lab.add_command(verb)

@@ -10,7 +10,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import option
-from mcrim_mitsuba.core.errors import InputError, closest, placed
+from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.files import (
     STDOUT,
     attributes,
@@ -23,8 +23,6 @@ from mcrim_mitsuba.core.files import (
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.output.describe_laboratory import of_peaks
 from mcrim_mitsuba.output.registry import VerbResult
-
-_SHAPES = ("auto", "counting", "gaussian")
 
 
 class _Window(options.Written):
@@ -44,7 +42,7 @@ class _Window(options.Written):
 @click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
 @option(
     "--shape",
-    "|".join(_SHAPES),
+    "auto|counting|gaussian",
     "Of the band. counting: whole photons of a mean number that varies from event to event; "
     "auto: counting for bins of whole numbers, otherwise gaussian.",
     default="auto",
@@ -59,10 +57,11 @@ class _Window(options.Written):
 )
 @option(
     "--escape-keV",
-    "KEV[:SHARE],...",
-    "Quanta that leave the crystal, such as 17.4:0.05 or 511: lines below the peak, with events as "
-    "a share of its own, or fitted. Needs --energy-keV.",
-    "escape_keV",
+    "KEV[:SHARE]",
+    "Quantum that leaves the crystal, such as 511 or 17.4:0.05 (may be repeated): a line below the "
+    "peak, its events over those of the peak fitted, or this share. Needs --energy-keV.",
+    "escapes",
+    multiple=True,
 )
 @option("--energy-keV", options.Number("KEV"), "Energy of the peak, keV.", "energy_keV")
 @options.file(
@@ -95,7 +94,7 @@ def peak(
     shape,
     window,
     step,
-    escape_keV,
+    escapes,
     energy_keV,
     calibration_file,
     lines,
@@ -118,45 +117,26 @@ def peak(
     """
     from mcrim_mitsuba.campaign.calibration import calibration_of_file
     from mcrim_mitsuba.campaign.editor import calibration_json
-    from mcrim_mitsuba.laboratory.calibration import (
-        fit_histogram,
-        read_photons,
-        window_of,
-    )
     from mcrim_mitsuba.output.laboratory_figures import (
-        FittedHistogram,
         draw_calibration,
         draw_histograms,
         draw_lines,
         draw_widths,
     )
 
-    _refuse_unknown(shape)
-    below = _below(escape_keV, energy_keV, step)
+    below = _below(escapes, energy_keV, step)
     if lines and (below.step or below.lines):
-        problem = (
-            "--step and --escape-keV beside --lines, which are fitted between their neighbours"
-        )
+        problem = "--step or --escape-keV beside --lines, whose neighbours lie below them"
         raise InputError(problem, "fit one peak, with --window about it")
     if deposits and not map_file:
         raise InputError("--deposits says where gammas stop on a map", "give --map FILE.nc too")
-    inputs = [
-        *(inside(Path(file))[0] for file in files),
-        *filter(None, (calibration_file, map_file, deposits)),
-    ]
+    inputs = [inside(Path(file))[0] for file in files]
+    inputs += map(Path, filter(None, (calibration_file, map_file, deposits)))
     further = {"calibration": calibration_file, "lines": lines, "widths": map_file}
     showing.refuse_places(json_file, inputs, figure, *(name for name, of in further.items() if of))
     _refuse_duplicates(files)
-    names = [Path(file).name for file in files]
-    names = names if len(set(names)) == len(names) else list(files)
-    calibration = calibration_file and calibration_of_file(calibration_file)
-    fitted = []
-    for name, file in zip(names, files, strict=True):
-        histogram = read_photons(file, calibration or None)
-        with placed(path=histogram.path):
-            within = window_of(histogram, window)
-            main = fit_histogram(histogram, shape=shape, window=within, below=below)
-        fitted.append(FittedHistogram(name, histogram, main))
+    calibration = calibration_of_file(calibration_file) if calibration_file else None
+    fitted = _fitted(files, calibration, shape, window, below)
     peaks = {of.name: of.peak for of in fitted if of.peak is not None}
     notes = [f"{name}: {words}" for name, peak in peaks.items() for words in peak.warnings]
     combined, outliers, of_mean = _combined(fitted)
@@ -189,6 +169,23 @@ def peak(
         if window is not None:
             mend = "let --window have the whole peak, and some background beside it"
         raise InputError("no peak stands out", mend, path=without.histogram.path)
+
+
+def _fitted(files: tuple[str, ...], calibration, shape: str, window, below) -> list:
+    """Histograms by short names with their main peaks."""
+    from mcrim_mitsuba.laboratory.calibration import fit_histogram, read_photons, window_of
+    from mcrim_mitsuba.output.laboratory_figures import FittedHistogram
+
+    names = [Path(file).name for file in files]
+    names = names if len(set(names)) == len(names) else list(files)
+    fitted = []
+    for name, file in zip(names, files, strict=True):
+        histogram = read_photons(file, calibration)
+        with placed(path=histogram.path):
+            within = window_of(histogram, window)
+            main = fit_histogram(histogram, shape=shape, window=within, below=below)
+        fitted.append(FittedHistogram(name, histogram, main))
+    return fitted
 
 
 _OF_LINE = "energy_keV photons photons_sigma per_keV relative relative_sigma width"
@@ -250,33 +247,16 @@ def _widths(
     }
 
 
-def _below(escape_keV: str | None, energy_keV: float | None, step: bool):
+def _below(escapes: tuple[str, ...], energy_keV: float | None, step: bool):
     """What is fitted below a peak, as the options say it."""
     from mcrim_mitsuba.laboratory.peak_shapes import Below, escape_lines
 
-    if not escape_keV:
-        return Below(step=step)
-    if energy_keV is None:
-        raise InputError("--escape-keV needs the energy of the peak", "give --energy-keV")
     quanta = []
-    for text in escape_keV.split(","):
-        quantum, share = (part.strip() for part in text.partition(":")[::2])
+    for text in escapes:
+        quantum, _, share = text.partition(":")
         number = parse_number("--escape-keV", quantum)
-        if not 0 < number < energy_keV:
-            problem = f"--escape-keV {number:g} of a peak of {energy_keV:g} keV"
-            raise InputError(problem, "give energies above 0, below --energy-keV")
-        quanta.append((number, parse_number("the share", share) if share else None))
-        if quanta[-1][1] is not None and not 0 < quanta[-1][1] < 1e6:
-            raise InputError(f"a share of {share} escapes", "give events over those of the peak")
+        quanta.append((number, parse_number("its share", share) if share else None))
     return Below(escape_lines(energy_keV, quanta), step)
-
-
-def _refuse_unknown(shape: str) -> None:
-    """Refuse a shape that there is not."""
-    if shape not in _SHAPES:
-        meant = closest(shape, _SHAPES)
-        mend = f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}"
-        raise InputError(f"--shape {shape} is not known", mend)
 
 
 def _refuse_duplicates(files: tuple[str, ...]) -> None:

@@ -106,35 +106,6 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     showing.answer(VerbResult(kind="light_yield", shown=shown, numbers=document), json_file)
 
 
-@click.command(short_help="Cells of a silicon photomultiplier by two signals of light.")
-@option("--bright", WithError(), "Signal of much light, in fired cells.", required=True)
-@option("--dim", WithError(), "Signal of a part of that light.", required=True)
-@option(
-    "--part",
-    WithError(fraction=True),
-    "That part: a grey filter's transmittance, a ratio of energies.",
-    required=True,
-)
-@options.json_output
-def cells(bright, dim, part, json_file) -> None:
-    """Number of cells that light falls on, by how far two signals are from proportional.
-
-    \b
-    mcrim lab cells --bright 1250±2 --dim 165±0.5 --part 0.112±0.0005
-
-    Signals are those of `mcrim lab peak --calibration`, of light that is shorter than a cell's
-    recovery. Mean and variance of one do not tell the cells: light that varies makes up for them.
-    """
-    from mcrim_mitsuba.laboratory.light_yield import number_of_cells
-
-    showing.refuse_places(json_file, [])
-    numbers = ((given.value, given.sigma) for given in (bright, dim, part))
-    value, sigma = number_of_cells(*numbers)
-    result = describe_laboratory.of_cells(value, sigma)
-    document = {"value": value, "sigma": sigma}
-    showing.answer(VerbResult(kind="cells", shown=result, numbers=document), json_file)
-
-
 _INSIDE_THE_WINDOW = (
     "--efficiency counts as that of light inside the window: measured in air it has the "
     "window's reflection in it, and the yield is lower by that (4.26 % at n = 1.52)"
