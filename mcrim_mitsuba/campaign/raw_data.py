@@ -262,11 +262,11 @@ def read_peaks(document: TomlDocument) -> PeakEntries:
 
 
 def _numbers(table: TomlTable, name: str) -> list[float]:
-    """Numbers of an entry that is a list of them."""
+    """Numbers above 0 of an entry that is a list of them."""
     numbers = table.get(name, [])
-    if isinstance(numbers, list) and all(map(is_plain_number, numbers)):
+    if isinstance(numbers, list) and all(is_plain_number(n) and 0 < n < math.inf for n in numbers):
         return numbers
-    raise table.refusal(name, f"{name} is no list of numbers", f"write {name} = [17.4]")
+    raise table.refusal(name, f"{name} is no list of numbers above 0", f"write {name} = [17.4]")
 
 
 def read_source_depth(document: TomlDocument) -> AttenuationLength | None:

@@ -15,7 +15,7 @@ from mcrim_mitsuba.campaign.calibration import read_calibration
 from mcrim_mitsuba.campaign.entries import SOURCE_DEPTH
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.files import inside, read_bytes, sha256
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.toml_document import TomlDocument
@@ -237,7 +237,8 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
         row = mountings[0].row
         problem = f"no histogram of {row.label}, which is not used, has a peak either"
         raise InputError(problem, "remove its rows", path=row.histogram)
-    combined, sigma, noise = combined_photons([peak for _, peak in peaks])
+    with placed(path=mountings[0].file):
+        combined, sigma, noise = combined_photons([peak for _, peak in peaks])
     for outlier in combined.outliers:
         place, _ = peaks[outlier]
         mountings[place] = replace(mountings[place], consistent=False)

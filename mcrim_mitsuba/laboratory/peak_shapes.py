@@ -111,9 +111,10 @@ def escape_lines(
     for quantum, share in quanta:
         if energy_keV is None:
             raise InputError("escape lines without the energy of the peak", "give its energy_keV")
-        if not quantum > 0 or (share is not None and not 0 < share < _MOST_RELATIVE):
-            problem = f"{quantum:g} keV escape, in a share of {share}"
-            raise InputError(problem, "give keV, and events over those of the peak, above 0")
+        for number in (quantum, 1.0 if share is None else share):
+            if not number > 0:
+                mend = "give keV, and events over those of the peak"
+                raise InputError(f"{number:g} of an escape line is not above 0", mend)
         if quantum < energy_keV:
             lines.append(EscapeLine(1.0 - quantum / energy_keV, share))
     return tuple(lines)

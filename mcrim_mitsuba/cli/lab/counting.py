@@ -63,7 +63,7 @@ class _Window(options.Written):
     "escapes",
     multiple=True,
 )
-@option("--energy-keV", options.Number("KEV"), "Energy of the peak, keV.", "energy_keV")
+@option("--energy-keV", options.Number("KEV", 1e-3, 1e7), "Energy of the peak, keV.", "energy_keV")
 @options.file(
     "--calibration",
     "Campaign, or a file with its table [calibration]: FILEs are in channels of a digitiser; how "
@@ -256,7 +256,10 @@ def _below(escapes: tuple[str, ...], energy_keV: float | None, step: bool):
         quantum, _, share = text.partition(":")
         number = parse_number("--escape-keV", quantum)
         quanta.append((number, parse_number("its share", share) if share else None))
-    return Below(escape_lines(energy_keV, quanta), step)
+    lines = escape_lines(energy_keV, quanta)
+    if len(lines) < len(quanta):
+        raise InputError("a quantum has more than the energy of the peak", "give less")
+    return Below(lines, step)
 
 
 def _refuse_duplicates(files: tuple[str, ...]) -> None:
