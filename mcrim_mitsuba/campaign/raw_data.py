@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 import re
 from collections.abc import Iterable, Mapping, MutableMapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from mcrim_mitsuba.laboratory.light_yield import (
     detector_efficiency,
 )
 from mcrim_mitsuba.laboratory.peak import AUTO
-from mcrim_mitsuba.laboratory.peak_shapes import Below, escape_lines
+from mcrim_mitsuba.laboratory.peak_shapes import Below
 from mcrim_mitsuba.optics.absorption import (
     EMISSION,
     LARGEST_SIGMA,
@@ -232,22 +233,11 @@ def read_efficiency(table: TomlTable) -> DetectorEfficiency | None:
     )
 
 
-@dataclass(frozen=True)
-class PeakEntries:
-    """What ``[histograms]`` says of all peaks."""
+def read_peaks(document: TomlDocument) -> tuple[str, Below]:
+    """``[histograms]``: the shape of peaks, and what lies below those of the campaign's energy.
 
-    shape: str
-    step: bool
-    #: Energies of quanta that escape, keV, with their shares; None: to be fitted.
-    quanta: tuple[tuple[float, float | None], ...]
-
-    def below(self, energy_keV: float | None) -> Below:
-        """What lies below a peak of this energy; raises InputError as `escape_lines` does."""
-        return Below(escape_lines(energy_keV, self.quanta), self.step)
-
-
-def read_peaks(document: TomlDocument) -> PeakEntries:
-    """``[histograms]``; raises InputError with the line, if an entry cannot be used."""
+    Raises InputError with the line, if an entry cannot be used.
+    """
     table = document.table(schema.HISTOGRAMS, schema.PEAKS)
     step = table.get("step", False)
     if not isinstance(step, bool):
@@ -256,9 +246,9 @@ def read_peaks(document: TomlDocument) -> PeakEntries:
     if shares and len(shares) != len(energies):
         problem = f"{len(shares)} numbers in escape_share for {len(energies)} in escape_keV"
         raise table.refusal("escape_share", problem, "give each quantum its share, or none")
-    of_quanta: list[float | None] = [*shares] or [None] * len(energies)
-    quanta = tuple(zip(energies, of_quanta, strict=True))
-    return PeakEntries(choice(table, "shape", schema.PEAKS) or AUTO, step, quanta)
+    quanta = tuple(itertools.zip_longest(energies, shares))
+    below = Below(quanta, step, document.table(schema.YIELD_TABLE).number("energy_keV"))
+    return choice(table, "shape", schema.PEAKS) or AUTO, below
 
 
 def _numbers(table: TomlTable, name: str) -> list[float]:

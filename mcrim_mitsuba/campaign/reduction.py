@@ -29,6 +29,7 @@ from mcrim_mitsuba.laboratory.calibration import (
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency
 from mcrim_mitsuba.laboratory.peak import Peak, Repeated
+from mcrim_mitsuba.laboratory.peak_shapes import Below
 from mcrim_mitsuba.optics.absorption import Absorption
 from mcrim_mitsuba.optics.gammas import AttenuationLength
 from mcrim_mitsuba.optics.materials import is_known
@@ -141,17 +142,11 @@ class RawData:
 
 
 def _reduce_table(
-    table: Measurements,
-    entries: raw_data.PeakEntries,
-    energy_keV: float | None,
-    calibration: ChannelCalibration | None,
+    table: Measurements, shape: str, below: Below, calibration: ChannelCalibration | None
 ) -> tuple[list[Reading], dict[str, ReducedReading]]:
-    """All readings of a measurement file, and by label what those from histograms were made of.
-
-    `energy_keV` is that of rows that do not say theirs.
-    """
+    """All readings of a measurement file, and by label what those from histograms were made of."""
     mountings = {
-        row.line: _mounting(table, row, entries, row.energy_keV or energy_keV, calibration)
+        row.line: _mounting(table, row, shape, below, calibration)
         for row in table.readings
         if row.histogram is not None
     }
@@ -202,18 +197,17 @@ def _notes_on(reduced: ReducedReading) -> Iterator[str]:
 def _mounting(
     table: Measurements,
     row: Reading,
-    entries: raw_data.PeakEntries,
-    energy_keV: float | None,
+    shape: str,
+    below: Below,
     calibration: ChannelCalibration | None,
 ) -> Mounting:
     """A row's histogram with the peak that was fitted in it."""
-    file = row.histogram
+    file, below = row.histogram, replace(below, energy_keV=row.energy_keV or below.energy_keV)
     assert file is not None
     histogram = read_photons(file, calibration)
     try:
         window = window_of(histogram, row.window)
-        below = entries.below(energy_keV)
-        peak = fit_histogram(histogram, shape=entries.shape, window=window, below=below)
+        peak = fit_histogram(histogram, shape=shape, window=window, below=below)
     except InputError as error:
         if row.window is None:
             raise InputError(error.problem, error.mend, path=file) from None
@@ -290,14 +284,13 @@ def reduce_raw_data(
     Raises InputError with the line, if an entry or a file with raw data cannot be used.
     """
     raw_data.refuse_misplaced(document)
-    entries, table_of_yield = raw_data.read_peaks(document), document.table(schema.YIELD_TABLE)
-    efficiency = raw_data.read_efficiency(table_of_yield)
+    shape, below = raw_data.read_peaks(document)
+    efficiency = raw_data.read_efficiency(document.table(schema.YIELD_TABLE))
     light = None if efficiency is None else efficiency.light
     absorption = raw_data.read_absorption(document, light, scene)
     source_depth = raw_data.read_source_depth(document)
     calibration = read_calibration(document)
-    energy_keV = table_of_yield.number("energy_keV")  # noqa: N806
-    readings, reduced = _reduce_table(table, entries, energy_keV, calibration)
+    readings, reduced = _reduce_table(table, shape, below, calibration)
     measurements = table.with_readings(readings)
     if not (reduced or efficiency or absorption or source_depth):
         return raw_data.with_numbers(document, {}), measurements, None

@@ -25,9 +25,8 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.laboratory.digitiser import ChannelSpectrum, read_channels
 from mcrim_mitsuba.laboratory.histogram import Histogram, main_peak, read_histogram
-from mcrim_mitsuba.laboratory.peak import AUTO, Repeated, combine, fit_peak
+from mcrim_mitsuba.laboratory.peak import Repeated, combine, fit_peak
 from mcrim_mitsuba.laboratory.peak_band import Peak
-from mcrim_mitsuba.laboratory.peak_shapes import Below
 from mcrim_mitsuba.laboratory.single_photoelectron import (
     Pedestal,
     SinglePhotoelectrons,
@@ -144,18 +143,8 @@ class CalibratedHistogram(Histogram):
     background: Array | None
 
 
-def fit_histogram(
-    histogram: Histogram,
-    *,
-    shape: str = AUTO,
-    window: tuple[float, float] | None = None,
-    below: Below | None = None,
-) -> Peak | None:
-    """The main peak of a histogram, or the one in a window, of photons per event; see `fit_peak`.
-
-    Raises InputError as that does.
-    """
-    options: dict[str, Any] = {"shape": shape, "window": window, "below": below}
+def fit_histogram(histogram: Histogram, **options: Any) -> Peak | None:
+    """The main peak of a histogram of photons per event; options and errors as of `fit_peak`."""
     if isinstance(histogram, CalibratedHistogram):
         options |= {"variances": histogram.variances, "photoelectrons": True}
     return fit_peak(histogram.photons, histogram.counts, **options)

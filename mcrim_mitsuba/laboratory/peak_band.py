@@ -128,11 +128,6 @@ class Peak:
         step = {"step": self.step, "step_sigma": self.step_sigma} if self.step_sigma else {}
         return step | ({"escape_lines": list(map(asdict, self.lines))} if self.lines else {})
 
-    @property
-    def shares(self) -> list[tuple[float, float | None]]:
-        """Events of the escape lines over those of the peak, and standard errors of fitted ones."""
-        return [(line.share or 0.0, line.share_sigma or None) for line in self.lines]
-
     def background_at(self, values: Array) -> Array:
         """Expected background per bin, with a step."""
         shade, _ = peak_shapes.step(values, self.centroid, self.width)

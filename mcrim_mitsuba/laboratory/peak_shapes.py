@@ -11,7 +11,7 @@ a fit finds. Where the dark counts of a gate were measured, subtract them from t
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, fields
 
 import numpy as np
@@ -96,28 +96,26 @@ class Below:
     does, in proportion, their variances with it.
     """
 
-    lines: tuple[EscapeLine, ...] = ()
+    #: Energies of quanta that escape, keV, with their shares; None: to be fitted.
+    quanta: tuple[tuple[float, float | None], ...] = ()
     step: bool = False
+    #: Of the peak; only with quanta it must be known.
+    energy_keV: float | None = None
 
+    @property
+    def lines(self) -> tuple[EscapeLine, ...]:
+        """Lines of quanta that have less than the peak's energy.
 
-def escape_lines(
-    energy_keV: float | None, quanta: Iterable[tuple[float, float | None]]
-) -> tuple[EscapeLine, ...]:
-    """Lines of a peak of this energy; quanta, by energies in keV and shares, are below it.
-
-    Raises InputError if the energy is not known, or a number of a quantum not above 0.
-    """
-    lines = []
-    for quantum, share in quanta:
-        if energy_keV is None:
-            raise InputError("escape lines without the energy of the peak", "give its energy_keV")
-        for number in (quantum, 1.0 if share is None else share):
+        Raises InputError if that is not known, or a number of a quantum not above 0.
+        """
+        for number in (number for of in self.quanta for number in of if number is not None):
             if not number > 0:
                 mend = "give keV, and events over those of the peak"
                 raise InputError(f"{number:g} of an escape line is not above 0", mend)
-        if quantum < energy_keV:
-            lines.append(EscapeLine(1.0 - quantum / energy_keV, share))
-    return tuple(lines)
+        if (energy := self.energy_keV) is None and self.quanta:
+            raise InputError("escape lines without the energy of the peak", "give its energy_keV")
+        kept = ((1.0 - quantum / (energy or 1.0), share) for quantum, share in self.quanta)
+        return tuple(EscapeLine(part, share) for part, share in kept if part > 0.0)
 
 
 def with_lines(

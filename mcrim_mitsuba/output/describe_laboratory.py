@@ -55,7 +55,7 @@ _PEAK = (
 )
 _BELOW = (
     Column("step per bin", form="±", of="step"),
-    Column("escape lines", of=lambda p: ", ".join(measured(*of).text for of in p.shares)),
+    Column("escape lines", of=lambda peak: _shares(peak)),
 )
 _PEAK_ALONE = (
     Column("fitted bins", of=lambda peak: f"{peak.low:g} to {peak.high:g}"),
@@ -143,6 +143,11 @@ def _peaks(
         for left, peak in peaks
     )
     return table(title, (*heads, *columns), rows)
+
+
+def _shares(peak: Peak) -> str:
+    """Events of the escape lines over those of the peak."""
+    return ", ".join(pdg(of.share or 0.0, of.share_sigma or None) for of in peak.lines)
 
 
 def _means(title: str, of: str, means: Iterable[tuple[str, Repeated]]) -> list[Piece]:

@@ -14,7 +14,7 @@ from mcrim_mitsuba.campaign.measurements import read_table
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.peak import combine, fit_peak
-from mcrim_mitsuba.laboratory.peak_shapes import Below, PhotonSpectrum, counting, escape_lines
+from mcrim_mitsuba.laboratory.peak_shapes import Below, PhotonSpectrum, counting
 
 cases = cases_of(__file__)
 
@@ -87,15 +87,15 @@ def low_side(step, share, kept=0.918):
 )
 def test_steps_and_escape_lines_take_the_bias_away(step, share, given, plain_bias):
     random, expected = np.random.default_rng(54), low_side(step, share)
-    lines = escape_lines(661.7, [(54.0, given)]) if share else ()
-    options = {"shape": "gaussian", "below": Below(lines, step > 0)}
+    below = Below(((54.0, given),) if share else (), step > 0, 661.7)
+    options = {"shape": "gaussian", "below": below}
     fits = [fit_peak(BINS, random.poisson(expected).astype(float), **options) for _ in range(30)]
     assert_honest(fits, 500.0, bias=0.1)
     # of expected counts
     fit = fit_peak(BINS, expected, **options)
     assert abs(fit.centroid - 500.0) < 0.1 * fit.centroid_sigma
     assert fit.step == pytest.approx(266.0 * step, abs=3.0)
-    assert [line.share for line in fit.lines] == pytest.approx([share] * len(lines), abs=0.01)
+    assert [line.share for line in fit.lines] == pytest.approx([share] * (share > 0), abs=0.01)
     plain = fit_peak(BINS, expected, shape="gaussian")
     assert plain.centroid < 500.0 - plain_bias * plain.centroid_sigma
     # drawn as it was fitted
@@ -107,15 +107,15 @@ def test_escape_lines_of_counted_photons_and_those_that_are_not_there():
     photons = np.arange(60.0)
     full, escaped = (counting(photons, kept * 14.3, kept * 2.0, 1)[0] for kept in (1.0, 0.7))
     counts = 20_000 * (full + 0.1 * escaped) + 3.0
-    lines = escape_lines(59.5, [(0.3 * 59.5, 0.1), (511.0, None)])
-    assert len(lines) == 1  # no quantum of 511 keV leaves 59.5 keV
-    fit = fit_peak(photons, counts, shape="counting", below=Below(lines))
+    below = Below(((0.3 * 59.5, 0.1), (511.0, None)), energy_keV=59.5)
+    assert len(below.lines) == 1  # no quantum of 511 keV leaves 59.5 keV
+    fit = fit_peak(photons, counts, shape="counting", below=below)
     assert abs(fit.centroid - 14.3) < 0.3 * fit.centroid_sigma and fit.lines[0].share == 0.1
     plain = fit_peak(photons, counts, shape="counting")
     assert plain.centroid < 14.3 - 3.0 * plain.centroid_sigma
-    free = fit_peak(photons, counts, below=Below(escape_lines(59.5, [(5.0, None)])))
+    free = fit_peak(photons, counts, below=Below(((5.0, None),), energy_keV=59.5))
     assert warned(free, "give its share") and free.centroid_sigma > 10 * fit.centroid_sigma
-    far = fit_peak(BINS, low_side(0.0, 0.0), below=Below(escape_lines(661.7, [(511.0, None)])))
+    far = fit_peak(BINS, low_side(0.0, 0.0), below=Below(((511.0, None),), energy_keV=661.7))
     assert not far.lines and warned(far, "1 escape line below the fitted bins")
 
 

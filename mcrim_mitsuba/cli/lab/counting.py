@@ -249,17 +249,17 @@ def _widths(
 
 def _below(escapes: tuple[str, ...], energy_keV: float | None, step: bool):
     """What is fitted below a peak, as the options say it."""
-    from mcrim_mitsuba.laboratory.peak_shapes import Below, escape_lines
+    from mcrim_mitsuba.laboratory.peak_shapes import Below
 
     quanta = []
     for text in escapes:
         quantum, _, share = text.partition(":")
         number = parse_number("--escape-keV", quantum)
         quanta.append((number, parse_number("its share", share) if share else None))
-    lines = escape_lines(energy_keV, quanta)
-    if len(lines) < len(quanta):
+    below = Below(tuple(quanta), step, energy_keV)
+    if len(below.lines) < len(quanta):
         raise InputError("a quantum has more than the energy of the peak", "give less")
-    return Below(lines, step)
+    return below
 
 
 def _refuse_duplicates(files: tuple[str, ...]) -> None:
