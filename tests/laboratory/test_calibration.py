@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from refusals import refusal
 from scipy.stats import chi2, norm
-from trials.digitiser import SILICON, TUBE, fit_photoelectrons, fit_subtracted, spectrum
+from trials.digitiser import (
+    COMMON,
+    SILICON,
+    TUBE,
+    fit_common,
+    fit_photoelectrons,
+    fit_subtracted,
+    spectrum,
+)
 from trials.digitiser import background as room
 
 from mcrim_mitsuba.core.errors import InputError
@@ -19,7 +27,6 @@ from mcrim_mitsuba.laboratory.calibration import (
     Gain,
     background_noise,
     calibrated,
-    combined_photons,
     fit_histogram,
     photons_of,
     window_of,
@@ -183,23 +190,9 @@ def subtracted(run, counts):
 
 
 def test_the_noise_of_a_common_background_is_correlated():
-    """Readings of one run: pulls of their difference and of their sum; alike, they share a half."""
-    random, peak = np.random.default_rng(4), 8000 * norm.pdf(np.arange(512), 300, 18.5)
-    pulls, shares = [], []
-    for _ in range(12):
-        run = random.poisson(UNDER / 3).astype(float)
-        peaks = [subtracted(run, random.poisson(UNDER + peak).astype(float)) for _ in range(2)]
-        combined, owns, noises = zip(*(combined_photons([peak]) for peak in peaks), strict=True)
-        covariance = np.diag(np.square(owns)) + np.array(noises) @ np.array(noises).T
-        for mean, peak_of in zip(combined, peaks, strict=True):
-            assert mean.sigma == pytest.approx(peak_of[1].centroid_sigma, rel=1e-3)
-        first, second = (mean.mean - 200.0 for mean in combined)
-        for signs, deviation in (((1, -1), first - second), ((1, 1), first + second)):
-            pulls.append(deviation / math.sqrt(np.array(signs) @ covariance @ signs))
-        shares.append(covariance[0, 1] / covariance[0, 0])
-    assert_honest(pulls)
-    assert 0.3 < np.mean(shares) < 0.7
-    # to first order as the fit moves with the run
+    """Pulls of difference and sum of readings of one run; and as the fit moves with the run."""
+    assert_honest(np.ravel([pulls[:2] for pulls in fit_common(COMMON, 1, 0)]))
+    peak = 8000 * norm.pdf(np.arange(512), 300, 18.5)
     run = UNDER / 3
     histogram, fit = subtracted(run, UNDER + peak)
     noise, centroids = background_noise(histogram, fit), []
