@@ -204,7 +204,11 @@ ENTRIES = 'single_photoelectron = "few.csv"\npedestal = "dark.csv"'
             "excess_noise_factor = 1.1",
             "excess_noise_factor without a pedestal",
         ),
-        ("range_ratio_sigma = 0.075", "range_ratio_sigma = -1", "range_ratio_sigma = -1 is neg"),
+        (
+            "range_ratio_sigma = 0.075",
+            "range_ratio_sigma = -1",
+            "range_ratio_sigma = -1 is below 0",
+        ),
         ("range_ratio =", "ratio =", "[calibration] has no entry ratio; did you mean range_ratio"),
         ("range_ratio =", "scale_sigma = 0.1\nrange_ratio =", "scale_sigma beside spectra"),
         ("range_ratio =", "crosstalk = 1\nrange_ratio =", "crosstalk is not true or false"),
