@@ -1,7 +1,8 @@
 """The page's addresses: what a browser may ask for, and what it is answered.
 
 The page itself comes whole from `layout`. From then on the browser asks ``state`` how the session
-is, ``predictions`` what the model says at some settings, ``reading`` of a reading's bench, and
+is, ``predictions`` what the model says at some settings, ``reading`` of a reading's bench,
+``picture`` for steps from raw data to readings, and
 ``do`` for whatever a button does; the answers are JSON. Ids in the browser: `readings-chart`,
 `falling-chart`, `chi2`, `p-value`, `light-yield`, `averaged`, `rows` (the table), `reading` (one of
 them), `verdict`, `status`, `progress`, `error` (of a job), `slip` (of a file or a button), `lost`
@@ -26,6 +27,8 @@ from mcrim_mitsuba.app import exchange, layout
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import MALFORMED, Settings, settings_of
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.output.figure_style import content_of
+from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 
 _Asked = Mapping[str, Any]
 #: What a request may leave out; the types are those of what it says.
@@ -76,6 +79,14 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
             # the page may not know yet that a row was taken away
             there = place < len(session.state.campaign.measurements.readings)
             return flask.jsonify({"html": layout.reading(session, place)} if there else None)
+
+    @application.get(f"{prefix}picture/<kind>")
+    def picture(kind: str) -> flask.Response:
+        raw = session.state.campaign.raw
+        if raw is None or kind not in raw.kinds:
+            flask.abort(404)
+        content = content_of(draw_raw_data(raw, kind).figure, "png")
+        return flask.send_file(io.BytesIO(content), "image/png")
 
     @application.get(f"{prefix}file")
     def file() -> flask.Response:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.entries import number_within
 from mcrim_mitsuba.campaign.raw_data import file_in
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed, said_by
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, is_plain_number, read_toml
 from mcrim_mitsuba.laboratory.calibration import ChannelCalibration, Gain, with_live_time
@@ -115,3 +120,37 @@ def _gain(table: TomlTable, pedestal: Pedestal | None) -> Gain:
     with said_by(partial(table.refusal, _GAIN), placed_too=False):
         fit = gain_by_excess_noise(spectrum.channels, spectrum.counts, pedestal, factor, sigma)
     return Gain(value=fit.gain, sigma=fit.gain_sigma, spectrum=spectrum, fit=fit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonErrors:
+    """Errors that all readings of light share, by the calibration of a digitiser's channels.
+
+    That of the scale is the light yield's alone; the others move readings against each other.
+    """
+
+    #: Relative standard error of the scale.
+    scale_sigma: float = 0.0
+    #: Of what is subtracted of all readings, in their unit; of k in true = read / (1 - k read),
+    #: one over their unit.
+    offset_sigma: float = 0.0
+    nonlinearity_sigma: float = 0.0
+
+    def moved(self, signals: Array, of_light: NDArray[np.bool_]) -> Array:
+        """(readings, sources) what standard errors do to readings, of the sources that there are.
+
+        `signals`, (readings,), are what they read; a transmittance is not moved.
+        """
+        sources = (
+            np.full(len(signals), self.offset_sigma),
+            self.nonlinearity_sigma * np.square(signals),
+        )
+        moved = [np.where(of_light, source, 0.0) for source in sources if source.any()]
+        return np.stack(moved, axis=1) if moved else np.zeros((len(signals), 0))
+
+
+def read_common_errors(document: TomlDocument) -> CommonErrors:
+    """``[calibration]`` in plain numbers; raises InputError with the line."""
+    table = document.table(schema.CALIBRATION_TABLE)
+    errors = {name: number_within(table, name, schema.COMMON) or 0.0 for name in schema.COMMON}
+    return CommonErrors(**errors)

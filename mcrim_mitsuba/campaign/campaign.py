@@ -12,16 +12,15 @@ from typing import Any
 import numpy as np
 
 from mcrim_mitsuba.campaign import entries as schema
+from mcrim_mitsuba.campaign.calibration import CommonErrors
 from mcrim_mitsuba.campaign.entries import choice, number_within
 from mcrim_mitsuba.campaign.known_physics import with_known_physics
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_table
 from mcrim_mitsuba.campaign.parameter import (
     SCALE,
     CampaignParameter,
-    CommonErrors,
     LightYieldInput,
     known_ranges,
-    read_common_errors,
     read_detector,
     read_light_yield,
     read_parameter,
@@ -314,7 +313,6 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         effects_folder=folder,
         catalogue={**effects, **wrong},
         tolerances=tolerances,
-        common_errors=read_common_errors(document),
         raw=raw,
         beam=_read_beam(document, scene, measurements),
         executed=() if folder is None else (whose(folder),),
@@ -360,7 +358,13 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
         parameters[EFFICIENCY_FACTOR] = CampaignParameter(
             EFFICIENCY_FACTOR, 1.0, *_FACTOR_RANGE, prior=1.0, prior_sigma=sigma
         )
-    return replace(campaign, parameters=parameters, scale=scale, light_yield=light_yield)
+    return replace(
+        campaign,
+        parameters=parameters,
+        scale=scale,
+        light_yield=light_yield,
+        common_errors=detector.common,
+    )
 
 
 def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:

@@ -20,13 +20,13 @@ import tomlkit
 from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.known_physics import CRYSTAL_INDEX, INDEX, material_of
-from mcrim_mitsuba.campaign.measurements import ENERGY, KIND, SAMPLE, Measurements
+from mcrim_mitsuba.campaign.measurements import ENERGY, KIND, SAMPLE, SHARED, Measurements
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.raw_data import put_numbers, table_in
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedReading
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.errors import InputError, visible
-from mcrim_mitsuba.core.files import attributes, beside, read_text, write_text
+from mcrim_mitsuba.core.files import attributes, beside, inside, read_text, write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.effects.effect import OLD_NAMES
@@ -215,7 +215,7 @@ def _comments(lines: Iterable[str]) -> Iterator[str]:
 def _named(raw: RawData, paths: Iterable[str | Path]) -> str:
     """``air_1.csv (0123456789ab), air_2.csv (...)``."""
     hashes = {file.path: file.sha256[:_SHORT_HASH] for file in raw.files}
-    return ", ".join(f"{path.name} ({hashes[path]})" for path in map(Path, paths))
+    return ", ".join(f"{path.name} ({hashes[inside(path)[0]]})" for path in map(Path, paths))
 
 
 def _origins(raw: RawData) -> Iterator[str]:
@@ -308,6 +308,8 @@ def measurement_cells(measurements: Measurements) -> dict[str, list[str]]:
         cells["group"] = [reading.group or "" for reading in readings]
         sigmas = (reading.group_sigma for reading in readings)
         cells["group_sigma"] = ["" if sigma is None else f"{sigma:g}" for sigma in sigmas]
+    if any(reading.shared for reading in readings):
+        cells[SHARED] = [" ".join(f"{of:g}" for of in reading.shared) for reading in readings]
     return cells
 
 
@@ -393,7 +395,8 @@ def calibration_json(calibration: ChannelCalibration) -> dict[str, Any]:
 def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
     """Where a reading comes from: every histogram with its peak, and their mean."""
     of_peak = (
-        "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high warnings"
+        "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high warnings "
+        "**fitted_below"
     )
     mountings = [
         attributes(mounting, "file line=row.line use consistent")

@@ -211,7 +211,10 @@ BEAM: Entries = {
 }
 #: Of ``[histograms]``.
 PEAKS: Entries = {
-    "shape": {"enum": list(SHAPES), "description": "How the peaks of histograms are described"}
+    "shape": {"enum": list(SHAPES), "description": "How the peaks of histograms are described"},
+    "step": {"type": "boolean", "description": "Whether a continuum that ends under them is too"},
+    "escape_keV": {**_VALUES, "description": "Quanta that leave the crystal: lines below a peak"},
+    "escape_share": {**_VALUES, "description": "Their events over the peak's; else fitted"},
 }
 #: Of ``[calibration]``, of histograms in channels.
 CALIBRATION: Entries = {
@@ -337,19 +340,13 @@ _BEYOND = {
         "give the prior's standard error, or fixed = true to hold the parameter",
     ),
     "transmittance": (_BETWEEN, "give a fraction: 0.76 for 76 %"),
-    "transmittance_sigma": ("is below 0", _ERROR),
     "thickness_sigma_mm": ("is below 0", _ERROR),
     "n": ("is below 1", "a solid has an index above 1"),
-    "n_sigma": ("is below 0", _ERROR),
     "energy_keV": ("is not above 0", "give keV per event"),
     "detector_efficiency": ("is not above 0 and at most 1", "give a fraction: 0.127 for 12.7 %"),
-    "detector_efficiency_sigma": ("is negative", "give the standard error of detector_efficiency"),
     COLLECTION: ("is not above 0 and at most 1", "give a fraction: 0.9 for 90 %"),
-    COLLECTION_SIGMA: ("is negative", "give the standard error of collection_efficiency"),
     CROSSTALK: ("is not from 0 to 0.6", "give a probability: 0.05 for 5 %"),
-    f"{CROSSTALK}_sigma": ("is negative", "give the standard error of crosstalk"),
     AFTERPULSING: ("is not from 0 to 1", "give a fraction: 0.02 for 2 %"),
-    f"{AFTERPULSING}_sigma": ("is negative", "give the standard error of afterpulsing"),
     "quantum_efficiency_scale_sigma": (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
     NEXT_SIGMA: (_BETWEEN, "it is a relative error: write 0.007 for 0.7 %"),
     SHARED_SIGMA: (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
@@ -366,8 +363,8 @@ _BEYOND = {
     "dead_time_us": ("is below 0", "give microseconds"),
 }
 _BEYOND |= {
-    name: ("is negative", "give a standard error")
-    for name in (*CALIBRATION, *COMMON)
+    name: ("is below 0", _ERROR)
+    for name in (*TRANSMITTANCE, *YIELD, *DETECTOR, *CALIBRATION, *COMMON)
     if name.endswith("_sigma")
 }
 

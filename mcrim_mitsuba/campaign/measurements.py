@@ -24,7 +24,7 @@ _NUMBERS = ("signal", "sigma")
 _HISTOGRAM = "histogram"
 _WINDOW = ("window_low", "window_high")
 #: Columns that hold no numbers.
-_TEXTS = ("label", "histogram", "group", "kind", "sample")
+_TEXTS = ("label", "histogram", "group", "kind", "sample", "shared")
 #: An error in per cent.
 _SHARE = re.compile(r"([0-9]+\.?[0-9]*) ?%")
 _OPTIONAL = ("use", "group", "group_sigma")
@@ -41,7 +41,9 @@ SAMPLE = "sample"
 #: Energy of a row's line: the light is in proportion to it.
 ENERGY = "energy_keV"
 _SIGNALS = {LIGHT: "light signal", TRANSMITTANCE: TRANSMITTANCE}
-_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, KIND, SAMPLE, ENERGY)
+#: Errors that readings share, such as a common background's.
+SHARED = "shared"
+_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, KIND, SAMPLE, ENERGY, SHARED)
 _HEADERS = "the header is label,signal,sigma,... or label,histogram,..."
 
 
@@ -65,6 +67,8 @@ class Reading:
     group: str | None = None
     #: Relative error (0.02 is 2 %) that all rows of the group share; None without a group.
     group_sigma: float | None = None
+    #: What independent sources of errors move it by that other readings share, in its unit.
+    shared: tuple[float, ...] = ()
     #: Line in the file; the first mounting's where the reading comes from histograms.
     line: int = 0
     #: The file with the histogram; None where the row gives numbers.
@@ -153,7 +157,7 @@ def read_table(
     decimal points or commas, in the encodings of `core.files.read_table_text`. Columns: label;
     signal and sigma, or histogram (a file; relative paths begin at this file's folder) with
     window_low and window_high, or all of them, with the cells of one kind empty; optionally use,
-    group with group_sigma, sample, energy_keV, any parameters of the scene
+    group with group_sigma, shared, sample, energy_keV, any parameters of the scene
     (`SceneFile.parameters`), cells of the same kind as these, and names of `effects`, which 0 and 1
     switch row by row. Lines that begin with # are comments.
 
@@ -284,7 +288,7 @@ class _Cells(dict[str, str]):
             problem = "a transmittance with a histogram"
             raise self.refusal(_HISTOGRAM, problem, "give its signal and sigma")
         group, group_sigma = self._group()
-        window = self._window(histogram)
+        window, shared = self._window(histogram), self.get(SHARED, "").split()
         parameters = self._parameters(scene_parameters, kind, switches)
         use = "use" not in self or self._switch("use", "write 1 to fit it, 0 not to")
         mend = "the column switches the effect: write 1 where a row has it, 0 where not"
@@ -296,6 +300,7 @@ class _Cells(dict[str, str]):
             use=use,
             group=group,
             group_sigma=group_sigma,
+            shared=tuple(parse_number(SHARED, text, **self.place(SHARED)) for text in shared),
             line=self.line,
             histogram=histogram,
             window=window,
@@ -357,7 +362,7 @@ class _Cells(dict[str, str]):
                 problem = f"{number} beside a histogram, which gives it"
                 raise self.refusal(number, problem, f"empty the cell, or that of {_HISTOGRAM}")
         path = files.beside(self.path, name)
-        if not files.is_there(path):
+        if not files.is_there(files.inside(path)[0]):
             problem = f"{name} does not exist"
             mend = files.look_around(path, f"paths are relative to {self.path.name}")
             raise self.refusal(_HISTOGRAM, problem, mend)

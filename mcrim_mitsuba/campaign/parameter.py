@@ -7,13 +7,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
 from mcrim_mitsuba.campaign import entries as schema
+from mcrim_mitsuba.campaign.calibration import CommonErrors, read_common_errors
 from mcrim_mitsuba.campaign.entries import SCALE, choice, number_within
 from mcrim_mitsuba.campaign.measurements import Measurements
-from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value, parse_number, unit_of, value_text
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
@@ -258,8 +255,8 @@ class DetectorTerms:
     cells_sigma: float
     #: Relative error of the efficiency that all samples share; 0 where none is named.
     shared_sigma: float
-    #: Relative error of all readings' scale, by the calibration of channels.
-    scale_sigma: float = 0.0
+    #: What all readings of light share by the calibration of channels.
+    common: CommonErrors
 
     @property
     def relative_sigma(self) -> float:
@@ -273,7 +270,7 @@ class DetectorTerms:
         return {
             schema.COLLECTION: collection,
             schema.CROSSTALK: self.cells_sigma,
-            PHOTOELECTRON_SCALE: self.scale_sigma,
+            PHOTOELECTRON_SCALE: self.common.scale_sigma,
         }
 
     @property
@@ -367,7 +364,10 @@ def read_light_yield(
 def read_detector(
     document: TomlDocument, scene: SceneFile, measurements: Measurements
 ) -> DetectorTerms:
-    """What ``[light_yield]``, and the scene of the window, say; raises InputError with the line."""
+    """What ``[light_yield]``, the scene of the window and ``[calibration]`` say of the detector.
+
+    Raises InputError with the line.
+    """
     table = document.table(schema.YIELD_TABLE)
     known: dict[str, tuple[float | None, float]] = {}
     for name in (schema.COLLECTION, schema.CROSSTALK, schema.AFTERPULSING):
@@ -395,42 +395,8 @@ def read_detector(
         cells=cells,
         cells_sigma=cells_sigma,
         shared_sigma=number_within(table, schema.SHARED_SIGMA, schema.SHARED) or 0.0,
-        scale_sigma=read_common_errors(document).scale_sigma,
+        common=read_common_errors(document),
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class CommonErrors:
-    """Errors that all readings of light share, by the calibration of a digitiser's channels.
-
-    That of the scale is the light yield's alone; the others move readings against each other.
-    """
-
-    #: Relative standard error of the scale.
-    scale_sigma: float = 0.0
-    #: Of what is subtracted of all readings, in their unit; of k in true = read / (1 - k read),
-    #: one over their unit.
-    offset_sigma: float = 0.0
-    nonlinearity_sigma: float = 0.0
-
-    def moved(self, signals: Array, of_light: NDArray[np.bool_]) -> Array:
-        """(readings, sources) what standard errors do to readings, of the sources that there are.
-
-        `signals`, (readings,), are what they read; a transmittance is not moved.
-        """
-        sources = (
-            np.full(len(signals), self.offset_sigma),
-            self.nonlinearity_sigma * np.square(signals),
-        )
-        moved = [np.where(of_light, source, 0.0) for source in sources if source.any()]
-        return np.stack(moved, axis=1) if moved else np.zeros((len(signals), 0))
-
-
-def read_common_errors(document: TomlDocument) -> CommonErrors:
-    """``[calibration]`` in plain numbers; raises InputError with the line."""
-    table = document.table(schema.CALIBRATION_TABLE)
-    errors = {name: number_within(table, name, schema.COMMON) or 0.0 for name in schema.COMMON}
-    return CommonErrors(**errors)
 
 
 def _window_index(document: TomlDocument, scene: SceneFile, measurements: Measurements) -> float:

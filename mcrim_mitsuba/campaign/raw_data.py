@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 import re
 from collections.abc import Iterable, Mapping, MutableMapping
@@ -12,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.campaign import entries as schema
-from mcrim_mitsuba.campaign.entries import number_within
+from mcrim_mitsuba.campaign.entries import choice, number_within
 from mcrim_mitsuba.core.errors import said_by
-from mcrim_mitsuba.core.files import is_there, look_around, resolved
+from mcrim_mitsuba.core.files import inside, is_there, look_around, resolved
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, MM_PER_CM
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, is_plain_number
 from mcrim_mitsuba.laboratory.light_yield import (
@@ -22,6 +23,8 @@ from mcrim_mitsuba.laboratory.light_yield import (
     DetectorEfficiency,
     detector_efficiency,
 )
+from mcrim_mitsuba.laboratory.peak import AUTO
+from mcrim_mitsuba.laboratory.peak_shapes import Below
 from mcrim_mitsuba.optics.absorption import (
     EMISSION,
     LARGEST_SIGMA,
@@ -230,6 +233,32 @@ def read_efficiency(table: TomlTable) -> DetectorEfficiency | None:
     )
 
 
+def read_peaks(document: TomlDocument) -> tuple[str, Below]:
+    """``[histograms]``: the shape of peaks, and what lies below those of the campaign's energy.
+
+    Raises InputError with the line, if an entry cannot be used.
+    """
+    table = document.table(schema.HISTOGRAMS, schema.PEAKS)
+    step = table.get("step", False)
+    if not isinstance(step, bool):
+        raise table.refusal("step", "step is not true or false", "write step = true")
+    energies, shares = (_numbers(table, name) for name in ("escape_keV", "escape_share"))
+    if shares and len(shares) != len(energies):
+        problem = f"{len(shares)} numbers in escape_share for {len(energies)} in escape_keV"
+        raise table.refusal("escape_share", problem, "give each quantum its share, or none")
+    quanta = tuple(itertools.zip_longest(energies, shares))
+    below = Below(quanta, step, document.table(schema.YIELD_TABLE).number("energy_keV"))
+    return choice(table, "shape", schema.PEAKS) or AUTO, below
+
+
+def _numbers(table: TomlTable, name: str) -> list[float]:
+    """Numbers above 0 of an entry that is a list of them."""
+    numbers = table.get(name, [])
+    if isinstance(numbers, list) and all(is_plain_number(n) and 0 < n < math.inf for n in numbers):
+        return numbers
+    raise table.refusal(name, f"{name} is no list of numbers above 0", f"write {name} = [17.4]")
+
+
 def read_source_depth(document: TomlDocument) -> AttenuationLength | None:
     """How deep the source's gammas get; None where the campaign names no crystal for them."""
     table = document.table(f"parameters.{schema.SOURCE_DEPTH}")
@@ -267,7 +296,7 @@ def _has(table: TomlTable, raw: str, belonging: Iterable[str], replaced: Iterabl
 def file_in(table: TomlTable, name: str, given: Any) -> Path:
     """A file that an entry names; raises InputError with the line, if it does not exist."""
     path = table.path_of(name, given)
-    if not is_there(path):
+    if not is_there(inside(path)[0]):
         problem = f"{path} does not exist"
         mend = look_around(path, "paths are relative to the campaign file")
         raise table.refusal(name, problem, mend)

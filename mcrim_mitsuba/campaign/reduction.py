@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign import raw_data
 from mcrim_mitsuba.campaign.calibration import read_calibration
-from mcrim_mitsuba.campaign.entries import SOURCE_DEPTH, choice
+from mcrim_mitsuba.campaign.entries import SOURCE_DEPTH
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import read_bytes, sha256
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.errors import InputError, placed
+from mcrim_mitsuba.core.files import inside, read_bytes, sha256
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.laboratory.calibration import (
     ChannelCalibration,
+    combined_photons,
     fit_histogram,
-    photons_of,
     read_photons,
     window_of,
 )
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency
-from mcrim_mitsuba.laboratory.peak import AUTO, Peak, Repeated, combine
+from mcrim_mitsuba.laboratory.peak import Peak, Repeated
+from mcrim_mitsuba.laboratory.peak_shapes import Below
 from mcrim_mitsuba.optics.absorption import Absorption
 from mcrim_mitsuba.optics.gammas import AttenuationLength
 from mcrim_mitsuba.optics.materials import is_known
@@ -34,6 +39,8 @@ from mcrim_mitsuba.scene.scene_file import SceneFile
 LIMIT_MB = 50
 #: Digits of the numbers that stand in the place of raw entries: `mcrim reduce` writes them so.
 _DIGITS = 6
+#: Correlations, and variances of common sources over the largest, that are none.
+_LEAST = 1e-4
 
 
 @dataclass(frozen=True)
@@ -65,12 +72,6 @@ class Mounting:
         return self.row.use
 
     @property
-    def value(self) -> tuple[float, float]:
-        """Photons per event by its peak, and the standard error that no other mounting shares."""
-        assert self.peak is not None
-        return photons_of(self.histogram, self.peak)
-
-    @property
     def file(self) -> Path:
         """The histogram's."""
         assert self.row.histogram is not None
@@ -81,12 +82,14 @@ class Mounting:
 class ReducedReading:
     """A reading from histograms."""
 
-    #: What the campaign has, with the error of `combined`.
+    #: What the campaign has, with the error of `combined` but for a common background's.
     reading: Reading
     #: All of them, those that are not used included.
     mountings: tuple[Mounting, ...]
     #: Mean and errors of the mountings that are used.
     combined: Repeated
+    #: (channels,) What the errors of the counts of a common background's run move it by.
+    noise: Array
 
     @property
     def counted(self) -> tuple[Mounting, ...]:
@@ -139,11 +142,11 @@ class RawData:
 
 
 def _reduce_table(
-    table: Measurements, shape: str, calibration: ChannelCalibration | None
+    table: Measurements, shape: str, below: Below, calibration: ChannelCalibration | None
 ) -> tuple[list[Reading], dict[str, ReducedReading]]:
     """All readings of a measurement file, and by label what those from histograms were made of."""
     mountings = {
-        row.line: _mounting(table, row, row.histogram, shape, calibration)
+        row.line: _mounting(table, row, shape, below, calibration)
         for row in table.readings
         if row.histogram is not None
     }
@@ -160,7 +163,7 @@ def _reduce_table(
             reduced[label] = _reduced_reading([mountings[row.line] for row in rows])
             reading = reduced[label].reading
         readings.append(reading)
-    return readings, reduced
+    return _sharing(readings, reduced), reduced
 
 
 def _notes_on(reduced: ReducedReading) -> Iterator[str]:
@@ -194,14 +197,17 @@ def _notes_on(reduced: ReducedReading) -> Iterator[str]:
 def _mounting(
     table: Measurements,
     row: Reading,
-    file: Path,
     shape: str,
+    below: Below,
     calibration: ChannelCalibration | None,
 ) -> Mounting:
-    """A histogram with the peak that was fitted in it."""
+    """A row's histogram with the peak that was fitted in it."""
+    file, below = row.histogram, replace(below, energy_keV=row.energy_keV or below.energy_keV)
+    assert file is not None
     histogram = read_photons(file, calibration)
     try:
-        peak = fit_histogram(histogram, shape=shape, window=window_of(histogram, row.window))
+        window = window_of(histogram, row.window)
+        peak = fit_histogram(histogram, shape=shape, window=window, below=below)
     except InputError as error:
         if row.window is None:
             raise InputError(error.problem, error.mend, path=file) from None
@@ -217,7 +223,7 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
     """The mean of the mountings in use; of all, in a reading that is not used."""
     used = any(mounting.use for mounting in mountings)
     peaks = [
-        (place, mounting.value)
+        (place, (mounting.histogram, mounting.peak))
         for place, mounting in enumerate(mountings)
         if mounting.peak is not None and (mounting.use or not used)
     ]
@@ -225,19 +231,45 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
         row = mountings[0].row
         problem = f"no histogram of {row.label}, which is not used, has a peak either"
         raise InputError(problem, "remove its rows", path=row.histogram)
-    combined = combine([value for _, (value, _) in peaks], [sigma for _, (_, sigma) in peaks])
+    with placed(path=mountings[0].file):
+        combined, sigma, noise = combined_photons([peak for _, peak in peaks])
     for outlier in combined.outliers:
         place, _ = peaks[outlier]
         mountings[place] = replace(mountings[place], consistent=False)
     reading = replace(
         mountings[0].row,
         signal=combined.mean,
-        sigma=combined.sigma,
+        sigma=sigma,
         use=used,
         histogram=None,
         window=None,
     )
-    return ReducedReading(reading, tuple(mountings), combined)
+    return ReducedReading(reading, tuple(mountings), combined, noise)
+
+
+def _sharing(readings: list[Reading], reduced: Mapping[str, ReducedReading]) -> list[Reading]:
+    """Readings with what the noise of their common background makes them share.
+
+    Their covariance is that of its independent sources, the least of which are left out; peaks
+    that lie on bins of their own share nothing.
+    """
+    places = [i for i, reading in enumerate(readings) if reading.label in reduced]
+    noises = np.array([reduced[readings[i].label].noise for i in places])
+    covariance = noises @ noises.T if noises.size else np.zeros((0, 0))
+    sizes = np.sqrt(np.diag(covariance))
+    others = np.abs(covariance) > _LEAST * np.outer(sizes, sizes)
+    sharing = others.sum(axis=1) > 1
+    for i in np.flatnonzero(~sharing & (sizes > 0.0)):
+        alone = readings[places[i]]
+        readings[places[i]] = replace(alone, sigma=math.hypot(alone.sigma, sizes[i]))
+    variances, vectors = np.linalg.eigh(covariance[np.ix_(sharing, sharing)])
+    clear = variances > _LEAST * variances.max(initial=0.0)
+    for i, shared in zip(
+        np.flatnonzero(sharing), vectors[:, clear] * np.sqrt(variances[clear]), strict=True
+    ):
+        digits = tuple(float(f"{of:.{_DIGITS}g}") for of in shared)
+        readings[places[i]] = replace(readings[places[i]], shared=digits)
+    return readings
 
 
 # All of them, and the numbers in their place.
@@ -252,13 +284,13 @@ def reduce_raw_data(
     Raises InputError with the line, if an entry or a file with raw data cannot be used.
     """
     raw_data.refuse_misplaced(document)
-    shape = choice(document.table(schema.HISTOGRAMS, schema.PEAKS), "shape", schema.PEAKS)
+    shape, below = raw_data.read_peaks(document)
     efficiency = raw_data.read_efficiency(document.table(schema.YIELD_TABLE))
     light = None if efficiency is None else efficiency.light
     absorption = raw_data.read_absorption(document, light, scene)
     source_depth = raw_data.read_source_depth(document)
     calibration = read_calibration(document)
-    readings, reduced = _reduce_table(table, shape or AUTO, calibration)
+    readings, reduced = _reduce_table(table, shape, below, calibration)
     measurements = table.with_readings(readings)
     if not (reduced or efficiency or absorption or source_depth):
         return raw_data.with_numbers(document, {}), measurements, None
@@ -320,5 +352,6 @@ def _files(raw: RawData) -> Iterator[RawFile]:
         named += [(role, run.path) for role, run in zip(roles, runs, strict=True) if run]
     for label, reading in raw.readings.items():
         named += [(f"histogram of {label}", mounting.file) for mounting in reading.mountings]
-    for role, path in named:
+    for role, of_role in named:
+        path, _ = inside(of_role)
         yield RawFile(role, path, sha256(read_bytes(path, LIMIT_MB)))

@@ -9,6 +9,7 @@ import itertools
 import json
 import math
 import os
+import re
 import select
 import stat
 import sys
@@ -56,6 +57,15 @@ _MENDS = dict.fromkeys(
 _DEVICES = (Path("/dev"), *_DESCRIPTORS)
 _MOST_LINKS = 40
 _NEVER = (".xml", ".toml")  # a slip of the hand: results would replace a scene or a campaign
+
+
+_INSIDE = re.compile(r"(.+\.root)[:#](.+)", re.IGNORECASE | re.DOTALL)
+
+
+def inside(path: Path) -> tuple[Path, str]:
+    """The file of a path, and what it names in that: ``runs.root:dry`` or ``runs.root#dry``."""
+    parts = _INSIDE.fullmatch(str(path))
+    return (Path(parts[1]), parts[2]) if parts else (path, "")
 
 
 def is_there(path: Path) -> bool:

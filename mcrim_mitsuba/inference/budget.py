@@ -149,7 +149,10 @@ def yield_corrections(
     if detector.collection is not None:
         corrections.append(("collection and threshold", 1.0 / detector.collection - 1.0, True))
     if depth is not None:
-        corrections.append(("K X-rays that escape", 1.0 / (1.0 - depth.escape_loss) - 1.0, False))
+        reduced = campaign.raw.readings.values() if campaign.raw else ()
+        # of peaks to which escape lines were fitted
+        fitted = any(m.peak.lines for r in reduced for m in r.mountings if m.peak)
+        corrections.append(("K X-rays that escape", 1.0 / (1.0 - depth.escape_loss) - 1.0, fitted))
     return tuple(YieldCorrection(*one) for one in corrections if one[1])
 
 

@@ -210,7 +210,8 @@ def fitted_rows(
     for i, reading in enumerate(readings):
         model, eta_sigma = float(prediction.signal[i]), float(eta_sigmas[i])
         model_sigma = abs(float(prediction.signal_per_eta[i])) * eta_sigma
-        spread = math.hypot(reading.sigma, (reading.group_sigma or 0.0) * model, model_sigma)
+        of_group = (reading.group_sigma or 0.0) * model
+        spread = math.hypot(reading.sigma, of_group, model_sigma, *reading.shared)
         rows.append(
             FittedRow(
                 label=reading.label,

@@ -84,8 +84,8 @@ class ErrorMatrices:
     #: (used, tolerances) float64: What a standard uncertainty of each number of the bench does to
     #: the predictions; an offset of each has been integrated out.
     tolerances: Array
-    #: (used, sources) float64: What the errors of the pedestal, and of the readout's nonlinearity,
-    #: that all readings of light share do to them.
+    #: (used, sources) float64: What the errors of the pedestal, of the readout's nonlinearity and
+    #: of a background that readings share do to them.
     pedestal: Array
     #: (used, used) float64: Covariance of what no parameter explains, if it is to be weighed.
     unexplained: Array | None = None
@@ -246,6 +246,10 @@ class Statistic:
         self.variance = np.array([reading.sigma for reading in used]) ** 2
         # relative error that a mounting's readings share, and the number of the mounting
         self._shared = np.array([reading.group_sigma or 0.0 for reading in used])
+        sources = max((len(reading.shared) for reading in used), default=0)
+        self._sources = np.zeros((len(used), sources))
+        for row, reading in zip(self._sources, used, strict=True):
+            row[: len(reading.shared)] = reading.shared
         self._of_light = np.array([not reading.of_beam for reading in used], bool)
         groups = [reading.group or "" for reading in used]
         self._mountings = np.unique(groups, return_inverse=True)[1]
@@ -419,8 +423,9 @@ class Statistic:
         )
 
     def _of_pedestal(self, signal: Array) -> Array:
-        """(used, sources) what all readings of light share by their calibration."""
-        return self.model.campaign.common_errors.moved(signal, self._of_light)
+        """(used, sources) what readings of light share by their calibration and background."""
+        moved = self.model.campaign.common_errors.moved(signal, self._of_light)
+        return np.hstack([moved, self._sources])
 
     def residuals(self, prediction: Prediction) -> Array:
         """(used,) reading minus predicted signal."""

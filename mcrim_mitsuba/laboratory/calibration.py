@@ -14,6 +14,7 @@ would give bins that fell low too much weight.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.laboratory.digitiser import ChannelSpectrum, read_channels
 from mcrim_mitsuba.laboratory.histogram import Histogram, main_peak, read_histogram
-from mcrim_mitsuba.laboratory.peak import AUTO, fit_peak
+from mcrim_mitsuba.laboratory.peak import Repeated, combine, fit_peak
 from mcrim_mitsuba.laboratory.peak_band import Peak
 from mcrim_mitsuba.laboratory.single_photoelectron import (
     Pedestal,
@@ -36,6 +37,8 @@ from mcrim_mitsuba.laboratory.single_photoelectron import (
 _FINE = 8.0
 #: Smoothing of the counts for their variances, in widths of the main peak.
 _SMOOTH = 0.3
+#: Least part of a peak's error that is its own.
+_OWN = 0.05
 #: Variance of bins far from all counts.
 _LEAST = 0.3
 
@@ -108,6 +111,10 @@ class ChannelCalibration:
                 f"photoelectrons are fired cells, and crosstalk fires more of them: crosstalk = "
                 f"{fit.crosstalk:.3g}, crosstalk_sigma = {fit.crosstalk_sigma:.1g} in [light_yield]"
             )
+            notes.append(
+                "few photoelectrons do not tell how many cells there are: name the effect "
+                "cell_saturation, with the number of the data sheet as a prior of cells"
+            )
         return tuple(notes)
 
     def light(self, photoelectrons: float) -> tuple[float, float]:
@@ -136,17 +143,11 @@ class CalibratedHistogram(Histogram):
     background: Array | None
 
 
-def fit_histogram(
-    histogram: Histogram, *, shape: str = AUTO, window: tuple[float, float] | None = None
-) -> Peak | None:
-    """The main peak of a histogram, or the one in a window, of photons per event; see `fit_peak`.
-
-    Raises InputError as that does.
-    """
-    options: dict[str, Any] = {}
+def fit_histogram(histogram: Histogram, **options: Any) -> Peak | None:
+    """The main peak of a histogram of photons per event; options and errors as of `fit_peak`."""
     if isinstance(histogram, CalibratedHistogram):
-        options = {"variances": histogram.variances, "photoelectrons": True}
-    return fit_peak(histogram.photons, histogram.counts, shape=shape, window=window, **options)
+        options |= {"variances": histogram.variances, "photoelectrons": True}
+    return fit_peak(histogram.photons, histogram.counts, **options)
 
 
 def window_of(
@@ -186,6 +187,40 @@ def photons_of(histogram: Histogram, peak: Peak) -> tuple[float, float]:
     light, slope = calibration.light(peak.centroid)
     own = 0.0 if calibration.pedestal is not None else histogram.pedestal.sigma
     return light, slope * math.hypot(peak.centroid_sigma, own * calibration.per_channel)
+
+
+def background_noise(histogram: Histogram, peak: Peak) -> Array:
+    """(channels,) What the counts of the background's run, by their errors, move photons by.
+
+    All spectra share them; none without a background that was subtracted.
+    """
+    if not isinstance(histogram, CalibratedHistogram) or histogram.background is None:
+        return np.zeros(0)
+    calibration, counts = histogram.calibration, histogram.spectrum.counts
+    assert calibration.background is not None
+    of_run = calibration.background.counts
+    per_bin = np.zeros(len(histogram.photons))
+    inside = (histogram.photons >= peak.low) & (histogram.photons <= peak.high)
+    per_bin[inside] = peak.per_count
+    join = round(float(np.diff(histogram.photons[:2])[0]) / calibration.per_channel)
+    per_channel = np.repeat(per_bin, join)
+    per_channel = np.pad(per_channel, (0, len(counts) - len(per_channel)))
+    ratio = float(histogram.background.sum() / of_run[: join * len(per_bin)].sum())
+    return -calibration.light(peak.centroid)[1] * ratio * per_channel * np.sqrt(of_run)
+
+
+def combined_photons(peaks: Sequence[tuple[Histogram, Peak]]) -> tuple[Repeated, float, Array]:
+    """Mean photons of mountings, its error without and with the `background_noise`, and this."""
+    noises = [background_noise(*peak) for peak in peaks]
+    values = [photons_of(*peak) for peak in peaks]
+    # the background's part is less than the whole, but for rounding
+    own = [
+        math.sqrt(max(sigma**2 - float(noise @ noise), (_OWN * sigma) ** 2))
+        for (_, sigma), noise in zip(values, noises, strict=True)
+    ]
+    combined, noise = combine([value for value, _ in values], own), np.mean(noises, axis=0)
+    whole = math.hypot(combined.sigma, float(np.linalg.norm(noise)))
+    return replace(combined, sigma=whole), combined.sigma, noise
 
 
 def calibrated(

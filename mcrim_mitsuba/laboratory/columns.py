@@ -31,6 +31,8 @@ _CHANNELS = re.compile(
     r"(?<![a-z])(adc|ch|chan|chans|channels?|mca|lsb|kan[aä]le?)(?![a-z])|канал"
     r"|^bins?(?!.?(cent|mid|low|upp|edge))"
 )
+#: Photons of an event that need no name in a list: digitisers count further.
+_FEW = 255
 #: Numbered events: more than this part of neighbours differs by more than 3 standard errors,
 _JUMPS = 0.05
 #: and all are in no order: the ratio of von Neumann (Ann. Math. Stat. 12 (1941) 367) of their ranks
@@ -66,17 +68,30 @@ def uncalibrated(what: str, path: Path) -> InputError:
 
 
 def refuse_uncalibrated(table: DataTable, bins: Array, counts: Array) -> None:
-    """Refuse bins, ascending evenly, that are or may be channels, by their name or a pedestal."""
+    """Refuse bins, ascending evenly, that are or may be channels, by their name or a pedestal.
+
+    A list of events must say what it holds, unless these are small whole numbers.
+    """
     name = _first_name(table)
     if _PHOTOELECTRONS.search(name):
         return
     if _CHANNELS.search(name):
         raise uncalibrated(f"the first column, {name}, holds channels of a digitiser", table.path)
-    if not _PER_EVENT.search(name) and (place := _pedestal(bins, counts)) is not None:
+    unit = (table.units[0] or "").lower() if table.units else ""
+    if _PER_EVENT.search(name) or unit in _PER_EVENT_UNITS:
+        return
+    if (place := _pedestal(bins, counts)) is not None:
         raise uncalibrated(
             f"the peak at {place:g} is narrower than counted photons can be, as a pedestal is: "
             "these are channels of a digitiser",
             table.path,
+        )
+    events = table.values[:, 0]
+    if table.values.shape[1] == 1 and (events.max() > _FEW or np.any(events != np.floor(events))):
+        raise InputError(
+            f"a list of {len(events)} events may be one of photoelectrons, charges or channels",
+            "name it in a line above: photoelectrons, charge (in the readings' unit), or adc",
+            path=table.path,
         )
 
 

@@ -17,13 +17,15 @@ import numpy as np
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import read_bytes
+from mcrim_mitsuba.core.files import inside, read_bytes
 from mcrim_mitsuba.laboratory.columns import INSTRUMENTS
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 
 _LIMIT_MB = 50
 _ROOT = ".root"
 _FEWEST_CHANNELS = 8
+#: Histograms that are listed where none is named.
+_MOST_LISTED = 12
 _LIVE_TIME = re.compile(r"live[ _-]?time[^0-9.+-]*([0-9.]+(?:e[+-]?[0-9]+)?)", re.IGNORECASE)
 _INSTALL = "pip install 'mcrim-mitsuba[formats]'"
 _EXPORT = "or export it as two columns of text, channel and counts"
@@ -46,13 +48,13 @@ class ChannelSpectrum:
 
 
 def read_channels(path: str | Path) -> ChannelSpectrum:
-    """Read a spectrum in channels, whatever wrote it.
+    """Read a spectrum in channels, whatever wrote it; of ROOT files ``file.root:name`` too.
 
     Raises InputError, with file and line where there is one, if it cannot be used: text as
     `read_histogram` says; other formats if what reads them is missing or fails, or if they hold
     several spectra.
     """
-    path = Path(path)
+    path, named = inside(Path(path))
     suffix = path.suffix.lower()
     if suffix not in INSTRUMENTS:
         read = read_histogram(path, channels=True)
@@ -60,7 +62,7 @@ def read_channels(path: str | Path) -> ChannelSpectrum:
             path, read.comments, read.photons, read.counts, live_time_s=_said(path, read.comments)
         )
     elif suffix == _ROOT:
-        spectrum = _of_root(path)
+        spectrum = _of_root(path, named)
     else:
         spectrum = _of_instrument(path)
     if not spectrum.counts.any():
@@ -117,28 +119,32 @@ def _of_instrument(path: Path) -> ChannelSpectrum:
     )
 
 
-def _of_root(path: Path) -> ChannelSpectrum:
-    """The one histogram (TH1) of a ROOT file, its bins as they are numbered there."""
+def _of_root(path: Path, wanted: str) -> ChannelSpectrum:
+    """A histogram (TH1) of a ROOT file, the only one or by its name, its bins as numbered there."""
     uproot = _reader("uproot", path)
-    histogram: Any = None
     try:
         with uproot.open(path) as file:
-            names = [name for name, of in file.classnames().items() if of.startswith("TH1")]
-            histogram = file[names[0]] if len(names) == 1 else None
+            classes = file.classnames(cycle=False).items()
+            there = [name for name, of in classes if of.startswith("TH1")]
+            named = [name for name in there if name == wanted or not wanted]
+            histogram: Any = file[named[0]] if len(named) == 1 else None
             if histogram is not None:
                 edges = np.asarray(histogram.axis().edges(), float)
                 counts = np.asarray(histogram.values(), float)
     except Exception:  # of a broken file uproot raises what its parts do
         raise InputError("uproot cannot read it", "is it whole?", path=path) from None
     if histogram is None:
-        problem = f"{len(names)} histograms (TH1) in one file"
-        raise InputError(problem, "give each a file of its own", path=path)
+        problem = f"{len(there)} histograms (TH1) in one file, none of them {wanted or 'named'}"
+        listed = f"{', '.join(there[:_MOST_LISTED])}{' ...' * (len(there) > _MOST_LISTED)}"
+        mend = f"name one, as {path.name}:{there[0]}, of {listed}" if there else "name another file"
+        raise InputError(problem, mend, path=path)
+    name = named[0]
     steps = np.diff(edges)
     if len(counts) < _FEWEST_CHANNELS or not np.allclose(steps, steps[0]):
-        problem = f"the histogram {names[0]} has {len(counts)} bins, or bins of several widths"
+        problem = f"the histogram {name} has {len(counts)} bins, or bins of several widths"
         raise InputError(problem, f"give {_FEWEST_CHANNELS} of one width at least", path=path)
     centres = 0.5 * (edges[1:] + edges[:-1])
-    return ChannelSpectrum(path, (names[0],), centres, _whole(path, counts))
+    return ChannelSpectrum(path, (name,), centres, _whole(path, counts))
 
 
 def _whole(path: Path, counts: Array) -> Array:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.core.data_table import DataTable, read_data_table
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import inside
 from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.laboratory.columns import (
     INSTRUMENTS,
@@ -272,7 +273,7 @@ def read_histogram(path: str | Path, *, channels: bool = False) -> Histogram:
     Raises InputError, with file and line, if anything cannot be used; if the bins are channels or
     may be, unless they are to be, and the other way round.
     """
-    if (suffix := Path(path).suffix.lower()) in INSTRUMENTS and not channels:
+    if (suffix := inside(Path(path))[0].suffix.lower()) in INSTRUMENTS and not channels:
         raise uncalibrated(f"{suffix} files hold channels of a digitiser", Path(path))
     table = read_data_table(path, roles=_ROLES, limit_mb=_LIMIT_MB)
     columns = table.values.shape[1]

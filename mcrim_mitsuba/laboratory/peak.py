@@ -27,17 +27,19 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, stdtr
 
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.rounding import p_equals
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.rounding import counted, p_equals, pdg
 from mcrim_mitsuba.laboratory.histogram import SHALLOW, Found, main_peak, peak_inside
-from mcrim_mitsuba.laboratory.peak_band import LEAST_P, Peak, fit_band
-from mcrim_mitsuba.laboratory.peak_shapes import COUNTING, GAUSSIAN, numbers_per_bin
+from mcrim_mitsuba.laboratory.peak_band import LEAST_P, Peak, fit_band, reaching
+from mcrim_mitsuba.laboratory.peak_shapes import COUNTING, GAUSSIAN, Below, numbers_per_bin
 
 AUTO = "auto"
 SHAPES = (AUTO, COUNTING, GAUSSIAN)
 
 # Window in widths of the peak, below and above its centroid, and fits until its bins stay the same.
 _WINDOW = {GAUSSIAN: (2.0, 2.0), COUNTING: (1.8, 2.5)}
+# With a step, which only what lies above the peak tells from a slope, or escape lines.
+_WIDE = {GAUSSIAN: (3.0, 5.0), COUNTING: (2.5, 5.0)}
 _MOST_FITS = 8
 # Bins of a window: five parameters and one degree of freedom.
 _FEWEST_BINS = 6
@@ -51,6 +53,7 @@ def fit_peak(
     *,
     shape: str = AUTO,
     window: tuple[float, float] | None = None,
+    below: Below | None = None,
     variances: Array | None = None,
     photoelectrons: bool = False,
 ) -> Peak | None:
@@ -63,7 +66,8 @@ def fit_peak(
     for bins of whole numbers, "gaussian" for others, and for whole numbers that cannot be photons:
     a Gaussian fits, narrower than the square root of its centroid, and "counting" does not.
     The window is the lowest and the highest bin centre to fit; unless given, it is chosen about the
-    centroid, but not beyond the valleys to other peaks.
+    centroid, but not beyond the valleys to other peaks. What lies `below` the peak besides a line
+    is fitted too, in a wider window, which reaches down to escape lines that are merged with it.
     `variances`, (bins,), are those of counts from which others were subtracted. Bins that are known
     to be `photoelectrons`, though no whole numbers, are counted too.
 
@@ -79,13 +83,14 @@ def fit_peak(
     if place is None:
         return None
     shapes = (COUNTING, GAUSSIAN) if whole else (GAUSSIAN,)
-    fits = {name: _fit_shape(values, counts, variances, place, name, window) for name in shapes}
+    data = values, counts, variances
+    fits = {name: _fit_shape(*data, place, name, window, below or Below()) for name in shapes}
     chosen = shape if shape != AUTO else _likely(fits)
     peak = fits.pop(chosen)
     if peak is None:
         return None
     other = next(iter(fits.values()), None)
-    doubts = [*_doubts_of_fit(values, peak, place, window)]
+    doubts = [*_doubts_of_fit(values, peak, place, window), *_doubts_of_lines(peak, below)]
     if shape == AUTO and whole:
         doubts += _doubts_of_shape(peak, other)
     return replace(peak, other=other, warnings=tuple(doubts))
@@ -111,7 +116,7 @@ def _likely(fits: dict[str, Peak | None]) -> str:
 def _check(values: Array, shape: str, window: tuple[float, float] | None, whole: bool) -> None:
     """Refuse a shape that is not known or not for such bins, and a window beyond the histogram."""
     if shape not in SHAPES:
-        raise InputError(f"'{shape}' is no shape of a peak", f"give one of {', '.join(SHAPES)}")
+        raise InputError(f"'{shape}' is no shape of a peak", did_you_mean(shape, SHAPES))
     if shape == COUNTING and not whole:
         problem = (
             "the bins are not of whole photon numbers, and the shape 'counting' counts photons"
@@ -144,12 +149,13 @@ def _fit_shape(
     place: Found,
     shape: str,
     given: tuple[float, float] | None,
+    below: Below,
 ) -> Peak | None:
     """Fit one shape, again until its window stays the same."""
 
     def fitted(inside: NDArray[np.bool_], start: Array) -> tuple[Peak, Array, bool]:
         of_counts = None if variances is None else variances[inside]
-        return fit_band(values[inside], counts[inside], shape, start, of_counts)
+        return fit_band(values[inside], counts[inside], shape, start, of_counts, below)
 
     start = _start(shape, place, values)
     if given is not None:
@@ -160,9 +166,11 @@ def _fit_shape(
     for _ in range(_MOST_FITS):
         at, before = peak or place, window
         width = at.width if shape == GAUSSIAN else max(at.width, math.sqrt(max(at.centroid, 0.0)))
-        below, above = _WINDOW[shape]
-        low, high = at.centroid - below * width, at.centroid + above * width
-        window = _inside(values, (max(low, place.low), min(high, place.high)))
+        lower, upper = (_WIDE if below.step or below.lines else _WINDOW)[shape]
+        low = max(at.centroid - lower * width, place.low)
+        for line in reaching(below, low, at.centroid, width):
+            low = min(low, line.kept * at.centroid - lower * math.sqrt(line.kept) * width)
+        window = _inside(values, (low, min(at.centroid + upper * width, place.high)))
         if window.sum() < _FEWEST_BINS or np.array_equal(window, before):
             break
         peak, start, _ = fitted(window, start)
@@ -187,6 +195,8 @@ _FALL = 0.10
 _SHIFT = 0.3
 # Part of the centroid, in photons, above which the square of the width is that of counting.
 _COUNTED = 0.3
+# Error of an escape line's share, of the peak's events, above which it says nothing.
+_SHARE_SIGMA = 0.2
 # Relative error of the centroid above which there were too few events.
 _POOR = 0.02
 
@@ -228,7 +238,7 @@ def _doubts_of_window(
                 yield f"the peak is cut by the window, only {how_far}: choose a wider one"
         elif cut and at_end:
             yield f"the peak is cut by the end of the histogram, only {how_far}"
-        elif cut or level > SHALLOW:
+        elif cut or (level > SHALLOW and not (side == "below" and peak.lines)):
             yield (
                 f"the peak is merged with what lies {side} it: between them the counts fall to "
                 f"{100 * level:.0f} % of its height, and the fit ends {how_far}"
@@ -238,7 +248,8 @@ def _doubts_of_window(
 def _doubts_of_background(peak: Peak) -> Iterator[str]:
     """Whether the background rises or falls by more than a line under a peak may."""
     rise = peak.background_slope * (peak.high - peak.low)
-    height = peak.counts_at(np.array(peak.centroid)) - peak.background
+    at = np.array(peak.centroid)
+    height = peak.counts_at(at) - peak.background_at(at)
     if rise > _RISE * height > 0:
         yield (
             "the peak is merged with what lies above it: the background rises by "
@@ -250,8 +261,21 @@ def _doubts_of_background(peak: Peak) -> Iterator[str]:
             f"the background falls by {-100 * rise / height:.0f} % of the peak's height, and may "
             f"be no line: the centroid may be off by some {shift:.2g} "
             f"({100 * shift / max(peak.centroid, 1e-9):.1g} %), too low if a continuum ends under "
-            "the peak, too high if the tail of a pedestal reaches in"
+            "the peak (fit a step), too high if the tail of a pedestal reaches in"
         )
+
+
+def _doubts_of_lines(peak: Peak, below: Below | None) -> Iterator[str]:
+    """Escape lines that were asked for, and tell nothing."""
+    missing = len(below.lines if below else ()) - len(peak.lines)
+    if missing:
+        yield f"{counted(missing, 'escape line')} below the fitted bins: not a part of the fit"
+    for line in peak.lines:
+        if line.share_sigma > _SHARE_SIGMA:
+            yield (
+                f"the escape line at {line.kept:.3g} of the centroid is not told from the peak "
+                f"(share {pdg(line.share or 0.0, line.share_sigma)}): give its share"
+            )
 
 
 def _doubts_of_bins(values: Array, peak: Peak) -> Iterator[str]:

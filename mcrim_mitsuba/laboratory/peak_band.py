@@ -1,4 +1,4 @@
-"""A band on a linear background, fitted to bins by its Poisson likelihood; parts of its width.
+"""A band on its background, fitted to bins by its Poisson likelihood; parts of its width.
 
 S. Baker and R. D. Cousins, Nucl. Instr. Meth. 221 (1984) 437: the likelihood ratio of the counts is
 distributed as chi2.
@@ -7,8 +7,9 @@ distributed as chi2.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -16,7 +17,7 @@ from scipy.special import chdtrc
 from mcrim_mitsuba.core.descent import Array, minimise
 from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.laboratory import peak_shapes
-from mcrim_mitsuba.laboratory.peak_shapes import GAUSSIAN
+from mcrim_mitsuba.laboratory.peak_shapes import GAUSSIAN, Below, EscapeLine
 
 # Most steps of a fit.
 _MOST_STEPS = 100
@@ -31,11 +32,11 @@ def _most_likely(
     expected: _Model,
     counts: Array,
     start: Array,
-    least: Array,
-    most: Array,
+    bounds: tuple[Array, Array],
+    held: Sequence[int],
     variances: Array | None,
 ) -> tuple[Array, Array, Array, float]:
-    """Parameters within bounds of the largest likelihood, expected counts, slopes and chi2.
+    """Parameters of the largest likelihood, within bounds, expected counts, slopes and chi2.
 
     Fisher's scoring, damped (`core.descent`); Poisson's likelihood, or Gauss' with `variances`.
     """
@@ -52,7 +53,7 @@ def _most_likely(
         chi2 = 2 * (np.sum(of_model - counts) + np.sum(counts[filled] * ratio))
         return float(chi2), slopes @ (1.0 - counts / of_model), (slopes / of_model) @ slopes.T
 
-    p, chi2, _ = minimise(chi2_at, start, least, most, steps=_MOST_STEPS, precision=_CLOSE)
+    p, chi2, _ = minimise(chi2_at, start, *bounds, held=held, steps=_MOST_STEPS, precision=_CLOSE)
     return p, *expected(p), max(chi2, 0.0)
 
 
@@ -73,7 +74,7 @@ _STANDS_OUT = 5.0
 
 @dataclass(frozen=True)
 class Peak:
-    """A band on a linear background."""
+    """A band on a linear background, with what was asked for below it."""
 
     #: "counting" or "gaussian".
     shape: str
@@ -94,6 +95,11 @@ class Peak:
     #: At the centroid, in counts per bin, and per unit of the bins.
     background: float
     background_slope: float
+    #: Of the continuum that ends under the peak, in counts per bin; 0: none was fitted.
+    step: float = 0.0
+    step_sigma: float = 0.0
+    #: Those that reach the fitted bins.
+    lines: tuple[EscapeLine, ...] = ()
     #: Likelihood ratio of the Poisson counts, distributed as chi2.
     chi2: float
     ndf: int
@@ -102,6 +108,8 @@ class Peak:
     #: Centres of the first and last bin that were fitted.
     low: float
     high: float
+    #: (bins,) By how much a count more in each of the fitted bins moves the centroid.
+    per_count: Array = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
     #: What the reader must know before using the centroid, a sentence each.
     warnings: tuple[str, ...] = ()
     #: The fit of the other shape; None where it cannot be fitted.
@@ -114,86 +122,153 @@ class Peak:
             return None
         return math.sqrt(max(self.width**2 - self.centroid, 0.0)) / self.centroid
 
+    @property
+    def fitted_below(self) -> dict[str, Any]:
+        """Step and escape lines, those that were fitted."""
+        step = {"step": self.step, "step_sigma": self.step_sigma} if self.step_sigma else {}
+        return step | ({"escape_lines": list(map(asdict, self.lines))} if self.lines else {})
+
     def background_at(self, values: Array) -> Array:
-        """Expected background per bin."""
-        return self.background + self.background_slope * (values - self.centroid)
+        """Expected background per bin, with a step."""
+        shade, _ = peak_shapes.step(values, self.centroid, self.width)
+        line = self.background + self.background_slope * (values - self.centroid)
+        return line + self.step * shade
 
     def counts_at(self, values: Array) -> Array:
         """Expected counts per bin."""
         values = np.asarray(values, float)
         spread = self.width if self.shape == GAUSSIAN else self.width**2 - self.centroid
-        density, _ = peak_shapes.band(
-            self.shape, values.ravel(), self.centroid, spread, self.bin_width
+        lines = [(line.kept, line.share or 0.0) for line in self.lines]
+        density, _ = peak_shapes.with_lines(
+            self.shape, values.ravel(), self.centroid, spread, self.bin_width, lines
         )
         band = self.events * self.bin_width * density
         return band.reshape(values.shape) + self.background_at(values)
 
 
+#: Where the parameters of a fit are: events, centroid, spread as `peak_shapes.band` has it, the
+#: background at the first and at the last bin, the step, and the share of each escape line.
+_ENDS = slice(3, 5)
+_STEP = 5
+_SHARES = 6
+#: Where a share begins.
+_SHARE = 0.05
+#: Widths to which a line reaches.
+_REACH = 2.0
+
+
+def reaching(below: Below, lowest: float, centroid: float, width: float) -> tuple[EscapeLine, ...]:
+    """Escape lines of a peak that reach bins from a lowest one on."""
+    return tuple(
+        line
+        for line in below.lines
+        if line.kept * centroid + _REACH * math.sqrt(line.kept) * width > lowest
+    )
+
+
 def fit_band(
-    values: Array, counts: Array, shape: str, start: Array, variances: Array | None = None
+    values: Array,
+    counts: Array,
+    shape: str,
+    start: Array,
+    variances: Array | None = None,
+    below: Below | None = None,
 ) -> tuple[Peak, Array, bool]:
     """Fit all bins that are given.
 
     The background, given by what it is at both ends, is never negative: a peak of Poisson numbers
     leans, which a line that may go below 0 would take up. Counts from which others were subtracted
     come with their `variances`, (bins,): they are Gaussian, and what is left of a background may be
-    negative.
+    negative. A step and escape lines, where asked for, are never negative.
 
     It starts at, and also returns, events, centroid, spread as `peak_shapes.band` has it and the
     background at both ends; last, whether the peak stands out. Its warnings are left to others.
     """
-    bin_width = values[1] - values[0]
-    along = (values - values[0]) / (values[-1] - values[0])
-    ends = np.stack([1.0 - along, along])
-
-    # p: events, centroid, spread, background at the first and at the last bin
-    def expected(p: Array) -> tuple[Array, Array]:
-        """Counts, and their (5, bins) derivatives."""
-        density, slopes = peak_shapes.band(shape, values, p[1], p[2], bin_width)
-        of_model = p[0] * bin_width * density + p[3:] @ ends
-        if variances is None:
-            of_model = np.maximum(of_model, 1e-6)
-        return of_model, np.vstack([bin_width * density, p[0] * bin_width * slopes, ends])
-
+    bin_width, below = values[1] - values[0], below or Below()
+    width = start[2] if shape == GAUSSIAN else math.sqrt(max(start[1] + start[2], start[1]))
+    lines = reaching(below, values[0], start[1], width)
+    shares = [_SHARE if line.share is None else line.share for line in lines]
+    expected = _model(values, shape, [line.kept for line in lines], positive=variances is None)
     if shape == GAUSSIAN:
         lowest, narrowest, widest = values[0], 0.2 * bin_width, np.ptp(values)
     else:
         lowest, narrowest, widest = max(values[0], 1e-3), 0.0, np.ptp(values) ** 2
     emptiest = 0.0 if variances is None else -np.inf
-    least = np.array([0.0, lowest, narrowest, emptiest, emptiest])
-    most = np.array([np.inf, values[-1], widest, np.inf, np.inf])
-    p, of_model, slopes, chi2 = _most_likely(expected, counts, start, least, most, variances)
+    none = [0.0] * (1 + len(lines))
+    least = np.array([0.0, lowest, narrowest, emptiest, emptiest, *none])
+    most = np.array([np.inf, values[-1], widest, *[np.inf] * (3 + len(lines))])
+    asked = np.array([True] * 5 + [below.step, *(line.share is None for line in lines)])
+    p, of_model, slopes, chi2 = _most_likely(
+        expected,
+        counts,
+        np.array([*start, 0.0, *shares]),
+        (least, most),
+        np.flatnonzero(~asked).tolist(),
+        variances,
+    )
     width = p[2] if shape == GAUSSIAN else math.sqrt(p[1] + p[2])
     height = p[0] * bin_width / (width * math.sqrt(2 * math.pi))
     # a background at 0 stays there
-    free = np.array([True, True, True, *(p[3:] > 1e-3 * math.sqrt(height))])
-    free |= variances is not None
-    covariance = np.zeros((5, 5))
+    free = asked.copy()
+    if variances is None:
+        free[_ENDS] = p[_ENDS] > 1e-3 * math.sqrt(height)
+    covariance = np.zeros((len(p), len(p)))
     of_counts = of_model if variances is None else variances
     covariance[np.ix_(free, free)] = _inverse_information(slopes[free], of_counts)
+    per_count = covariance[1] @ (slopes / of_counts)
     ndf = int(len(values) - free.sum())
     p_value = float(chdtrc(ndf, chi2))
-    worse = max(chi2 / ndf, 1.0) if p_value < LEAST_P else 1.0
-    covariance *= worse
+    covariance *= max(chi2 / ndf, 1.0) if p_value < LEAST_P else 1.0
+    sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     of_width = np.array([0.0, 1.0]) if shape == GAUSSIAN else np.full(2, 0.5 / width)
     slope = (p[4] - p[3]) / (values[-1] - values[0])
     peak = Peak(
         shape=shape,
         centroid=float(p[1]),
-        centroid_sigma=math.sqrt(max(covariance[1, 1], 0.0)),
+        centroid_sigma=float(sigmas[1]),
         width=float(width),
         width_sigma=math.sqrt(max(of_width @ covariance[1:3, 1:3] @ of_width, 0.0)),
         events=float(p[0]),
         bin_width=float(bin_width),
         background=float(p[3] + slope * (p[1] - values[0])),
         background_slope=float(slope),
+        step=float(p[_STEP]),
+        step_sigma=float(sigmas[_STEP]),
+        lines=tuple(
+            replace(line, share=float(share), share_sigma=float(sigma))
+            for line, share, sigma in zip(lines, p[_SHARES:], sigmas[_SHARES:], strict=True)
+        ),
         chi2=chi2,
         ndf=ndf,
         p_value=p_value,
         low=float(values[0]),
         high=float(values[-1]),
+        per_count=per_count,
     )
-    return peak, p, bool(p[0] ** 2 > _STANDS_OUT**2 * covariance[0, 0])
+    return peak, p[:_STEP], bool(p[0] ** 2 > _STANDS_OUT**2 * covariance[0, 0])
+
+
+def _model(values: Array, shape: str, kept: Sequence[float], *, positive: bool) -> _Model:
+    """Expected counts of bins, and their slopes, of the parameters that `_ENDS` names."""
+    bin_width = values[1] - values[0]
+    along = (values - values[0]) / (values[-1] - values[0])
+    ends = np.stack([1.0 - along, along])
+
+    def expected(p: Array) -> tuple[Array, Array]:
+        lines = list(zip(kept, p[_SHARES:], strict=True))
+        density, slopes = peak_shapes.with_lines(shape, values, p[1], p[2], bin_width, lines)
+        width = p[2] if shape == GAUSSIAN else math.sqrt(p[1] + p[2])
+        shade, by = peak_shapes.step(values, p[1], width)
+        slopes = p[0] * bin_width * slopes
+        # the width of counted photons is the root of the sum of both
+        slopes[0] += p[_STEP] * (by[0] + (0.0 if shape == GAUSSIAN else 0.5 / width * by[1]))
+        slopes[1] += p[_STEP] * (1.0 if shape == GAUSSIAN else 0.5 / width) * by[1]
+        of_model = p[0] * bin_width * density + p[_ENDS] @ ends + p[_STEP] * shade
+        if positive:
+            of_model = np.maximum(of_model, 1e-6)
+        return of_model, np.vstack([bin_width * density, slopes[:2], ends, shade, slopes[2:]])
+
+    return expected
 
 
 # A peak's width by its origins: counted photoelectrons, where gammas stop, and the rest.

@@ -11,10 +11,11 @@ a fit finds. Where the dark counts of a gate were measured, subtract them from t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, fields
 
 import numpy as np
-from scipy.special import gammaln, xlogy
+from scipy.special import gammaln, ndtr, xlogy
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
@@ -72,6 +73,79 @@ def counting(values: Array, mean: float, variance: float, bin_width: int) -> tup
     chances[numbers <= -1.0] = 0.0
     below, before, last = (chances[:, i : i + bin_width].sum(axis=1) / bin_width for i in range(3))
     return last, np.stack([before - last, 0.5 * (below - 2.0 * before + last)])
+
+
+@dataclass(frozen=True)
+class EscapeLine:
+    """Events of a peak that lack the energy of a quantum which left the crystal."""
+
+    #: The energy that stays, as a part of the peak's.
+    kept: float
+    #: Events, as a part of the peak's, None: to be fitted; the standard error of a fitted one.
+    share: float | None = None
+    share_sigma: float = 0.0
+
+
+@dataclass(frozen=True)
+class Below:
+    """What lies under a peak and below it, besides a linear background.
+
+    A step is the continuum that ends under the peak (Compton scattering around and in the crystal):
+    it falls as the integral of a Gaussian of the peak's width (G. W. Phillips and K. W. Marlow,
+    Nucl. Instr. Meth. 137 (1976) 525). Escape lines lie where the light of the energy that stays
+    does, in proportion, their variances with it.
+    """
+
+    #: Energies of quanta that escape, keV, with their shares; None: to be fitted.
+    quanta: tuple[tuple[float, float | None], ...] = ()
+    step: bool = False
+    #: Of the peak; only with quanta it must be known.
+    energy_keV: float | None = None
+
+    @property
+    def lines(self) -> tuple[EscapeLine, ...]:
+        """Lines of quanta that have less than the peak's energy.
+
+        Raises InputError if that is not known, or a number of a quantum not above 0.
+        """
+        for number in (number for of in self.quanta for number in of if number is not None):
+            if not number > 0:
+                mend = "give keV, and events over those of the peak"
+                raise InputError(f"{number:g} of an escape line is not above 0", mend)
+        if (energy := self.energy_keV) is None and self.quanta:
+            raise InputError("escape lines without the energy of the peak", "give its energy_keV")
+        kept = ((1.0 - quantum / (energy or 1.0), share) for quantum, share in self.quanta)
+        return tuple(EscapeLine(part, share) for part, share in kept if part > 0.0)
+
+
+def with_lines(
+    shape: str,
+    values: Array,
+    centroid: float,
+    spread: float,
+    bin_width: float,
+    lines: Sequence[tuple[float, float]],
+) -> tuple[Array, Array]:
+    """Density of a `band` and of its escape lines, each given by what is kept and by its share.
+
+    Also returned are the (2 + lines, bins) derivatives by centroid, spread and shares.
+    """
+    density, slopes = band(shape, values, centroid, spread, bin_width)
+    of_lines = []
+    for kept, share in lines:
+        narrower = math.sqrt(kept) if shape == GAUSSIAN else kept
+        of_line, by = band(shape, values, kept * centroid, narrower * spread, bin_width)
+        density = density + share * of_line
+        slopes = slopes + share * np.array([[kept], [narrower]]) * by
+        of_lines.append(of_line)
+    return density, np.vstack([slopes, *of_lines])
+
+
+def step(values: Array, centroid: float, width: float) -> tuple[Array, Array]:
+    """A step down from 1 to 0 at the centroid, and its (2, bins) derivatives by both."""
+    density, _ = gaussian(values, centroid, width)
+    deviation = (values - centroid) / width
+    return ndtr(-deviation), np.stack([density, density * deviation])
 
 
 def numbers_per_bin(values: Array) -> int | None:

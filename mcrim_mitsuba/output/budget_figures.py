@@ -33,7 +33,7 @@ _ORIGINS = {
     "statistical": ("readings", STATISTICAL),
     "prior": ("priors", SYSTEMATIC),
     "detector_efficiency": ("detector efficiency", SYSTEMATIC),
-    "pedestal": ("pedestal", SYSTEMATIC),
+    "pedestal": ("pedestal, background", SYSTEMATIC),
     "tolerances": ("the bench's numbers", SYSTEMATIC),
     "monte_carlo": ("simulation", STATISTICAL),
 }

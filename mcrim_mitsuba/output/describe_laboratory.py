@@ -53,6 +53,10 @@ _PEAK = (
     Column("chi2 / ndf", of=_per_ndf),
     Column("p", form=p_text, of="p_value"),
 )
+_BELOW = (
+    Column("step per bin", form="±", of="step"),
+    Column("escape lines", of=lambda peak: _shares(peak)),
+)
 _PEAK_ALONE = (
     Column("fitted bins", of=lambda peak: f"{peak.low:g} to {peak.high:g}"),
     Column("the other shape's", of=lambda peak: _PEAK[1].cell(peak.other) if peak.other else ""),
@@ -128,7 +132,10 @@ def _peaks(
     further: tuple[Column, ...] = (),
 ) -> Table:
     """Peaks below the titles of what stands left of them."""
+    peaks = list(peaks)
     columns = (*_PEAK, *further)
+    if any(peak and peak.fitted_below for _, peak in peaks):
+        columns += _BELOW
     rows = (
         (*left, *(column.cell(peak) for column in columns))
         if peak
@@ -136,6 +143,11 @@ def _peaks(
         for left, peak in peaks
     )
     return table(title, (*heads, *columns), rows)
+
+
+def _shares(peak: Peak) -> str:
+    """Events of the escape lines over those of the peak."""
+    return ", ".join(pdg(of.share or 0.0, of.share_sigma or None) for of in peak.lines)
 
 
 def _means(title: str, of: str, means: Iterable[tuple[str, Repeated]]) -> list[Piece]:

@@ -164,14 +164,19 @@ def save(figure: Figure, path: str | Path) -> Path:
     """
     path = Path(path)
     refuse_suffix(path, SUFFIXES, "a figure cannot be drawn as")
+    write_bytes(path, content_of(figure, path.suffix.lower()[1:]))
+    return path
+
+
+def content_of(figure: Figure, form: str) -> bytes:
+    """A figure's file in a format, such as ``png``."""
     content = io.BytesIO()
     # journals take TrueType fonts in a PDF, not Type 3
     with warnings.catch_warnings(), rc_context({"pdf.fonttype": 42}):
         # a label in a script that the font lacks shows boxes; the CSV has it
         warnings.filterwarnings("ignore", message="Glyph .* missing")
-        figure.savefig(content, format=path.suffix.lower()[1:], dpi=_DPI)
-    write_bytes(path, content.getvalue())
-    return path
+        figure.savefig(content, format=form, dpi=_DPI)
+    return content.getvalue()
 
 
 def numbers_beside(path: str | Path) -> Path:

@@ -101,11 +101,13 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
             tops.append(float(histogram.counts.max()))
         handles.append(Line2D([], [], label=_label(name, peak), **look | mark))
     if any(entry.peak is not None for entry in fitted):
-        handles.append(Line2D([], [], color=style.GREY, label="linear background", **_BACKGROUND))
+        handles.append(Line2D([], [], color=style.GREY, label="background", **_BACKGROUND))
     top = _HISTOGRAM_ROOM * max(tops, default=1.0)
     highest = max((float(entry.histogram.counts.max()) for entry in fitted), default=1.0)
     # without events a peak's height may be 0
-    axes.set_ylim(0, max(top, 1.0) if highest > top else None)
+    # what is left of a subtracted background may lie below 0
+    lowest = min((float(entry.histogram.counts.min()) for entry in fitted), default=0.0)
+    axes.set_ylim(max(min(lowest, 0.0), -0.2 * top), max(top, 1.0) if highest > top else None)
     axes.set_xlim(left=min((float(entry.histogram.photons[0]) for entry in fitted), default=0.0))
     axes.set(xlabel="detected photons per event", ylabel="events per bin")
     axes.set_title(style.shortened(title, 90), loc="left", fontsize=11, parse_math=False)
@@ -115,7 +117,7 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
     style.legend(axes, handles, handlelength=2.6, **place)
     if highest > top:
         look = {"transform": axes.transAxes, "fontsize": 9, "color": style.GREY, "va": "top"}
-        words = f"↑ pedestal, up to {number(highest)} events"
+        words = f"↑ up to {number(highest)} events"
         axes.text(0.015, 0.985, words, zorder=5, bbox=style.paper(0.8, 1.5), **look)
     return style.Drawing(figure, *_histograms_numbers(fitted))
 

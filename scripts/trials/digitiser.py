@@ -2,12 +2,16 @@
 
     python scripts/trials digitiser [--repeats 500] [--json FILE]
 
-Three kinds of trials, with pulls, a deviation in its own errors, whose mean should be 0 and whose
+Five kinds of trials, with pulls, a deviation in its own errors, whose mean should be 0 and whose
 standard deviation 1:
 
 - single photoelectrons of silicon and of tubes: mean 0.3 to 3, gain 10 to 100 channels, crosstalk 0
   to 20 %, spread 5 to 12 % (resolved) or 30 to 50 % of the gain (not resolved), noise 6 to 12 %;
 - peaks on a background that is subtracted, signal to background 5 to 0.5 within the peak;
+- pairs of peaks alike, from which one background run is subtracted, a third as long as they are:
+  their difference and their sum, with the covariance that its noise makes;
+- peaks on a continuum that ends under them, with a line of events that lost 54 of 661.7 keV, both a
+  tenth of the peak;
 - campaigns from channels to the light yield: six spectra, a run in the dark, single photoelectrons,
   a background, all drawn anew; is the true light yield within two errors?
 
@@ -23,11 +27,20 @@ from pathlib import Path
 
 import click
 import numpy as np
+from scipy.special import ndtr
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.rounding import pdg
-from mcrim_mitsuba.laboratory.calibration import ChannelCalibration, Gain, calibrated, fit_histogram
+from mcrim_mitsuba.laboratory.calibration import (
+    ChannelCalibration,
+    Gain,
+    calibrated,
+    combined_photons,
+    fit_histogram,
+)
 from mcrim_mitsuba.laboratory.digitiser import ChannelSpectrum
+from mcrim_mitsuba.laboratory.peak import fit_peak
+from mcrim_mitsuba.laboratory.peak_shapes import Below
 from mcrim_mitsuba.laboratory.single_photoelectron import Pedestal, fit_single_photoelectrons
 from mcrim_mitsuba.output.description import table
 from trials.executor import Trial, Trials, executor_options
@@ -43,6 +56,7 @@ ALPHA_SCAT, ALPHA_ABS, ABS_SIGMA = 0.5, 0.04, 0.006
 LIGHT_YIELD, ENERGY_KEV, EFFICIENCY = 25.0, 661.7, 0.2
 GAIN, RANGE_RATIO, RATIO_SIGMA, PEDESTAL = 45.0, 25.0, 0.075, 100.0
 SILICON, TUBE = "resolved", "not-resolved"
+COMMON, BELOW = "common-background", "step-and-escape"
 
 
 def single_photoelectrons(
@@ -132,6 +146,55 @@ def fit_subtracted(kind: str, seed: int, number: int) -> list[list[float]]:
         )
         fit = fit_histogram(calibrated(seen, calibration))
         pulls.append([(fit.centroid - mean) / fit.centroid_sigma, fit.p_value])
+    return pulls
+
+
+def fit_common(kind: str, seed: int, number: int) -> list[list[float]]:
+    """Pulls of difference and sum of two peaks alike that share a background's run."""
+    random, pulls = np.random.default_rng((seed, number, 4)), []
+    under = 400.0 * background(512, 1.0)
+    peak = (
+        8000.0
+        / (18.5 * math.sqrt(2.0 * math.pi))
+        * np.exp(-0.5 * ((np.arange(512) - 300.0) / 18.5) ** 2)
+    )
+    for _ in range(BLOCK):
+        calibration = ChannelCalibration(
+            gain=Gain(value=1.0, sigma=0.0),
+            pedestal=Pedestal(PEDESTAL, 0.0),
+            background=spectrum(random.poisson(under / 3).astype(float), LIVE_TIME_S / 3),
+        )
+        seen = [spectrum(random.poisson(under + peak).astype(float), LIVE_TIME_S) for _ in range(2)]
+        histograms = [calibrated(one, calibration) for one in seen]
+        fits = [fit_histogram(one, shape="gaussian") for one in histograms]
+        means, owns, noises = zip(
+            *(combined_photons([one]) for one in zip(histograms, fits, strict=True)), strict=True
+        )
+        covariance = np.diag(np.square(owns)) + np.array(noises) @ np.array(noises).T
+        off = np.array([mean.mean - 200.0 for mean in means])
+        signs = np.array([[1.0, -1.0], [1.0, 1.0]])
+        sigmas = np.sqrt(np.einsum("ij,jk,ik->i", signs, covariance, signs))
+        pulls.append([*(signs @ off / sigmas), fits[0].p_value])
+    return pulls
+
+
+def fit_below(kind: str, seed: int, number: int) -> list[list[float]]:
+    """Pulls of the centroid of a peak with a step and an escape line below it."""
+    random, channels = np.random.default_rng((seed, number, 5)), np.arange(1024.0)
+    kept = 1.0 - 54.0 / 661.7
+    widths = 30.0, 30.0 * math.sqrt(kept)
+    full, escaped = (
+        np.exp(-0.5 * ((channels - 500.0 * part) / width) ** 2) / (width * math.sqrt(2 * math.pi))
+        for part, width in zip((1.0, kept), widths, strict=True)
+    )
+    events = 20_000.0 * (full + 0.1 * escaped)
+    expected = events + 0.1 * 20_000.0 * full.max() * ndtr((500.0 - channels) / 30.0) + 5.0
+    below, pulls = Below(((54.0, None),), True, 661.7), []
+    for _ in range(BLOCK):
+        fit = fit_peak(
+            channels, random.poisson(expected).astype(float), shape="gaussian", below=below
+        )
+        pulls.append([(fit.centroid - 500.0) / fit.centroid_sigma, fit.p_value])
     return pulls
 
 
@@ -247,6 +310,8 @@ def main(repeats: int, campaigns: int, seed: int, json_file: str | None, executo
     kinds = {
         **dict.fromkeys((SILICON, TUBE), (repeats // 2, fit_photoelectrons)),
         **{f"{ratio:g}": (2 * repeats // 20, fit_subtracted) for ratio in SIGNAL_TO_BACKGROUND},
+        COMMON: (2 * repeats // 5, fit_common),
+        BELOW: (repeats, fit_below),
         "campaign": (campaigns, fit_campaigns),
     }
     eta = true_eta() if campaigns else []
@@ -282,6 +347,7 @@ def main(repeats: int, campaigns: int, seed: int, json_file: str | None, executo
 def judge(kind: str, found: np.ndarray) -> list[dict]:
     """A row for each of the numbers whose pulls were found; the last column is p."""
     names = {SILICON: "gain mean crosstalk", TUBE: "gain mean crosstalk", "campaign": "yield ratio"}
+    names[COMMON] = "difference sum"
     rows = []
     for of, pulls in zip(names.get(kind, "centroid").split(), found.T[:-1], strict=True):
         width, count = pulls.std(ddof=1), len(pulls)

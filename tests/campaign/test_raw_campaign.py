@@ -19,8 +19,11 @@ from mcrim_mitsuba.app.exchange import campaign_archive, with_readings
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects, write_plain
 from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.inference.budget import yield_corrections
 from mcrim_mitsuba.inference.fit import fit_model
+from mcrim_mitsuba.optics.gammas import attenuation_length_mm
 from mcrim_mitsuba.output import report as album
+from mcrim_mitsuba.output.describe_laboratory import histograms_pieces
 from mcrim_mitsuba.output.report import Picture, of_drawing
 
 cases = cases_of(__file__)
@@ -235,6 +238,33 @@ def test_shapes_and_doubtful_peaks_are_said(folder):
     )
     assert any(note.startswith("air_1.csv (air): ") for note in cut.notes)
     assert set(cut.notes) <= set(fit_model(CampaignModel(cut, couplings())).notes)
+
+
+def test_steps_and_escape_lines_are_asked_for_by_the_campaign(folder, mcrim, tmp_path):
+    path = folder / "campaign.toml"
+    asked = '"counting"\nstep = true\nescape_keV = [17.4, 60.0]\nescape_share = [0.04, 0.5]'
+    path.write_text(path.read_text().replace('"counting"', asked))
+    campaign = read_campaign(path)
+    for reduced in campaign.raw.readings.values():
+        for peak in (mounting.peak for mounting in reduced.mountings):
+            # 60 keV do not leave 59.5
+            (line,) = peak.lines
+            assert (line.kept, line.share) == (pytest.approx(1 - 17.4 / 59.5), 0.04)
+            assert peak.step_sigma > 0
+    assert "escape lines" in str(histograms_pieces(campaign.raw))
+    *_, escaping = yield_corrections(campaign, attenuation_length_mm("CaMoO4", 59.5))
+    assert escaping.name == "K X-rays that escape" and escaping.applied
+    # the same for one histogram
+    file, options = folder / "air_1.csv", ("--step", "--escape-keV", "17.4:0.04")
+    shown = mcrim.shown("lab", "peak", file, *options, "--energy-keV", "59.5", "--json", "-")
+    peak = json.loads(shown)["histograms"][0]["peak"]
+    assert peak["escape_lines"] == [
+        {"kept": pytest.approx(0.7075630), "share": 0.04, "share_sigma": 0}
+    ]
+    first = campaign.raw.readings["air"].mountings[0].peak
+    assert peak["centroid"] == pytest.approx(first.centroid) and peak["step"] >= 0
+    path.write_text(path.read_text().replace("energy_keV = 59.5", ""))
+    assert "escape lines without the energy of the peak" in refusal(read_campaign, path)
 
 
 def test_errors_that_would_count_twice_or_are_hardly_known_are_said(folder):

@@ -68,6 +68,13 @@ def test_line_ends_marks_and_encodings_of_tables(here):
     )
 
 
+def test_paths_name_histograms_in_root_files():
+    for text in ("/a/runs.root:far/dry", "/a/runs.root#far/dry"):
+        assert files.inside(Path(text)) == (Path("/a/runs.root"), "far/dry")
+    for text in ("runs.root", "a:b.csv", "a.root/b.csv"):
+        assert files.inside(Path(text)) == (Path(text), "")
+
+
 def test_links_loops_and_files_beside(here):
     Path("folder").mkdir()
     Path("folder/campaign.toml").touch()

@@ -9,13 +9,23 @@ import numpy as np
 import pytest
 from refusals import refusal
 from scipy.stats import chi2, norm
-from trials.digitiser import SILICON, TUBE, fit_photoelectrons, fit_subtracted, spectrum
+from trials.digitiser import (
+    COMMON,
+    SILICON,
+    TUBE,
+    fit_common,
+    fit_photoelectrons,
+    fit_subtracted,
+    spectrum,
+)
+from trials.digitiser import background as room
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.laboratory import digitiser
 from mcrim_mitsuba.laboratory.calibration import (
     ChannelCalibration,
     Gain,
+    background_noise,
     calibrated,
     fit_histogram,
     photons_of,
@@ -24,6 +34,7 @@ from mcrim_mitsuba.laboratory.calibration import (
 )
 from mcrim_mitsuba.laboratory.digitiser import read_channels
 from mcrim_mitsuba.laboratory.energy_scale import intrinsic_width, lines_of
+from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.single_photoelectron import (
     Pedestal,
     chances,
@@ -163,6 +174,35 @@ def test_subtracted_backgrounds_have_honest_errors(signal_to_background):
     assert_honest(pulls.T[0])
 
 
+UNDER = 400 * room(512, 1.0)
+RUN_S, LIGHT_S = 200.0, 600.0
+
+
+def subtracted(run, counts):
+    """A peak of one photoelectron per channel, its background subtracted, and its fit."""
+    calibration = ChannelCalibration(
+        gain=Gain(value=1.0, sigma=0.0),
+        pedestal=Pedestal(100.0, 0.0),
+        background=spectrum(run, RUN_S),
+    )
+    histogram = calibrated(spectrum(counts, LIGHT_S), calibration)
+    return histogram, fit_histogram(histogram, shape="gaussian")
+
+
+def test_the_noise_of_a_common_background_is_correlated():
+    """Pulls of difference and sum of readings of one run; and as the fit moves with the run."""
+    assert_honest(np.ravel([pulls[:2] for pulls in fit_common(COMMON, 1, 0)]))
+    peak = 8000 * norm.pdf(np.arange(512), 300, 18.5)
+    run = UNDER / 3
+    histogram, fit = subtracted(run, UNDER + peak)
+    noise, centroids = background_noise(histogram, fit), []
+    for sign in (1, -1):
+        more = run + sign * np.sqrt(run) * (np.arange(512) > 290)
+        centroids.append(subtracted(more, UNDER + peak)[1].centroid)
+    moved = 0.5 * (centroids[0] - centroids[1])
+    assert noise[291:].sum() == pytest.approx(moved, rel=0.15)
+
+
 def test_dead_time_is_taken_off():
     """Live time = real time - N tau (Knoll)."""
     counts = peak_of(150.0)
@@ -233,6 +273,22 @@ def test_histograms_of_root_are_read(tmp_path):
         file["h"] = np.histogram(np.arange(64).repeat(np.arange(64)), edges)
     read = read_channels(path)
     assert np.array_equal(read.counts, np.arange(64)) and np.array_equal(read.channels, read.counts)
+
+
+def test_histograms_of_root_are_named_where_there_are_several(tmp_path):
+    uproot = pytest.importorskip("uproot")
+    path, edges = tmp_path / "runs.root", np.arange(65) - 0.5
+    with uproot.recreate(path) as file:
+        for place, name in enumerate(("dry", "wet/far")):
+            file[name] = np.histogram(np.arange(64).repeat(np.arange(64) + place), edges)
+    for separator in ":#":
+        read = read_channels(f"{path}{separator}wet/far")
+        assert read.counts[0] == 1 and read.comments == ("wet/far",)
+    assert read_channels(f"{path}:dry").counts[0] == 0
+    for named, says in (("", "none of them named; "), (":wett", "none of them wett; ")):
+        says += "name one, as runs.root:dry, of dry, wet/far"
+        assert ".root files hold channels" in refusal(read_histogram, f"{path}{named}")
+        assert f"2 histograms (TH1) in one file, {says}" in refusal(read_channels, f"{path}{named}")
 
 
 def test_what_is_missing_is_said_with_what_to_install(monkeypatch):

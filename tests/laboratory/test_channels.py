@@ -64,3 +64,15 @@ def test_lists_of_charges_are_no_photoelectrons(tmp_path):
         assert MEND in refusal(read_histogram, path)
     path.write_text(f"photons\n{rows_of_events}")
     assert read_histogram(path).counts.sum() == 25_000
+
+
+@pytest.mark.parametrize("head", ["", "x\n"])
+@pytest.mark.parametrize(("mean", "width", "digits"), [(30, 7, 4), (2000, 150, 0), (14.3, 4, 2)])
+def test_lists_of_events_say_what_they_hold(tmp_path, head, mean, width, digits):
+    path, events = tmp_path / "q.txt", np.random.default_rng(6).normal(mean, width, 5000)
+    numbers = "".join(f"{event:.{digits}f}\n" for event in events)
+    path.write_text(head + numbers)
+    assert "photoelectrons, charges or channels; name it" in refusal(read_histogram, path)
+    for named in ("charge", "Q (pC)"):
+        path.write_text(f"{named}\n{numbers}")
+        assert read_histogram(path).counts.sum() == 5000

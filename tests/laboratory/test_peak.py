@@ -7,13 +7,14 @@ import pytest
 from places import cases_of
 from refusals import refusal
 from scipy.optimize import curve_fit
+from scipy.special import ndtr
 from scipy.stats import chi2, norm, poisson
 
 from mcrim_mitsuba.campaign.measurements import read_table
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.peak import combine, fit_peak
-from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum, counting
+from mcrim_mitsuba.laboratory.peak_shapes import Below, PhotonSpectrum, counting
 
 cases = cases_of(__file__)
 
@@ -69,6 +70,53 @@ def test_expected_counts_give_the_mean(mean):
     # dark counts are photons like others
     dark = fit_of(PhotonSpectrum(mean, dark_photons=0.3), shape="counting")
     assert abs(dark.centroid - mean - 0.3) < 0.2 * dark.centroid_sigma
+
+
+BINS = np.arange(1024.0)
+
+
+def low_side(step, share, kept=0.918):
+    """Expected counts: 20,000 events at 500 ± 30, an escape line of 54 of 661.7 keV, a step."""
+    bell = norm.pdf(BINS, 500, 30) + share * norm.pdf(BINS, 500 * kept, 30 * math.sqrt(kept))
+    return 20_000 * bell + 5.0 + step * 266.0 * ndtr(-(BINS - 500) / 30)
+
+
+@pytest.mark.parametrize(
+    ("step", "share", "given", "plain_bias"),
+    [(0.1, 0.0, None, 0.8), (0.0, 0.1, None, 2.5), (0.1, 0.1, 0.1, 3.0)],
+)
+def test_steps_and_escape_lines_take_the_bias_away(step, share, given, plain_bias):
+    random, expected = np.random.default_rng(54), low_side(step, share)
+    below = Below(((54.0, given),) if share else (), step > 0, 661.7)
+    options = {"shape": "gaussian", "below": below}
+    fits = [fit_peak(BINS, random.poisson(expected).astype(float), **options) for _ in range(30)]
+    assert_honest(fits, 500.0, bias=0.1)
+    # of expected counts
+    fit = fit_peak(BINS, expected, **options)
+    assert abs(fit.centroid - 500.0) < 0.1 * fit.centroid_sigma
+    assert fit.step == pytest.approx(266.0 * step, abs=3.0)
+    assert [line.share for line in fit.lines] == pytest.approx([share] * (share > 0), abs=0.01)
+    plain = fit_peak(BINS, expected, shape="gaussian")
+    assert plain.centroid < 500.0 - plain_bias * plain.centroid_sigma
+    # drawn as it was fitted
+    inside = (fit.low <= BINS) & (fit.high >= BINS)
+    assert np.allclose(fit.counts_at(BINS[inside]), expected[inside], rtol=0.01, atol=0.5)
+
+
+def test_escape_lines_of_counted_photons_and_those_that_are_not_there():
+    photons = np.arange(60.0)
+    full, escaped = (counting(photons, kept * 14.3, kept * 2.0, 1)[0] for kept in (1.0, 0.7))
+    counts = 20_000 * (full + 0.1 * escaped) + 3.0
+    below = Below(((0.3 * 59.5, 0.1), (511.0, None)), energy_keV=59.5)
+    assert len(below.lines) == 1  # no quantum of 511 keV leaves 59.5 keV
+    fit = fit_peak(photons, counts, shape="counting", below=below)
+    assert abs(fit.centroid - 14.3) < 0.3 * fit.centroid_sigma and fit.lines[0].share == 0.1
+    plain = fit_peak(photons, counts, shape="counting")
+    assert plain.centroid < 14.3 - 3.0 * plain.centroid_sigma
+    free = fit_peak(photons, counts, below=Below(((5.0, None),), energy_keV=59.5))
+    assert warned(free, "give its share") and free.centroid_sigma > 10 * fit.centroid_sigma
+    far = fit_peak(BINS, low_side(0.0, 0.0), below=Below(((511.0, None),), energy_keV=661.7))
+    assert not far.lines and warned(far, "1 escape line below the fitted bins")
 
 
 @pytest.mark.parametrize(
@@ -373,7 +421,7 @@ def test_lists_of_events_are_sorted_into_bins(tmp_path):
     assert np.array_equal(read.counts, counts[: len(read.counts)])
     # Freedman and Diaconis: 2 IQR / n^(1/3)
     values = np.random.default_rng(1).normal(40, 6, 8000)
-    path.write_text("".join(f"{value:.6f}\n" for value in values))
+    path.write_text("charge\n" + "".join(f"{value:.6f}\n" for value in values))
     read = read_histogram(path)
     low, high = np.percentile(values, (25, 75))
     assert read.photons[1] - read.photons[0] == pytest.approx(2 * (high - low) / 20, rel=1e-4)
@@ -381,7 +429,7 @@ def test_lists_of_events_are_sorted_into_bins(tmp_path):
     peak = fit_peak(read.photons, read.counts)
     assert abs(peak.centroid - 40) < 4 * peak.centroid_sigma < 0.8
     # steps of the electronics make no comb
-    path.write_text("".join(f"{0.25 * round(4 * value):.2f}\n" for value in values))
+    path.write_text("charge\n" + "".join(f"{0.25 * round(4 * value):.2f}\n" for value in values))
     read = read_histogram(path)
     assert read.photons[1] - read.photons[0] == pytest.approx(0.75)
     assert fit_peak(read.photons, read.counts).p_value > 0.001
@@ -454,7 +502,7 @@ def test_a_pedestal_far_away_makes_no_wide_bins(tmp_path, width):
     random = np.random.default_rng(12)
     events = np.concatenate([random.normal(50, width, 20_000), random.exponential(3, 10_000)])
     path = tmp_path / "events.txt"
-    path.write_text("".join(f"{event:.4f}\n" for event in events))
+    path.write_text("charge\n" + "".join(f"{event:.4f}\n" for event in events))
     read = read_histogram(path)
     assert read.photons[1] - read.photons[0] < 0.6 * width
     assert read.counts.sum() == 30_000

@@ -10,11 +10,12 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import option
-from mcrim_mitsuba.core.errors import InputError, closest, placed
+from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.files import (
     STDOUT,
     attributes,
     first_duplicates,
+    inside,
     refuse_outputs,
     resolved,
     write_text,
@@ -22,8 +23,6 @@ from mcrim_mitsuba.core.files import (
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.output.describe_laboratory import of_peaks
 from mcrim_mitsuba.output.registry import VerbResult
-
-_SHAPES = ("auto", "counting", "gaussian")
 
 
 class _Window(options.Written):
@@ -43,7 +42,7 @@ class _Window(options.Written):
 @click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
 @option(
     "--shape",
-    "|".join(_SHAPES),
+    "auto|counting|gaussian",
     "Of the band. counting: whole photons of a mean number that varies from event to event; "
     "auto: counting for bins of whole numbers, otherwise gaussian.",
     default="auto",
@@ -53,6 +52,18 @@ class _Window(options.Written):
     _Window(),
     "Bins to fit, in photons, or in channels with --calibration (default: chosen about the peak).",
 )
+@click.option(
+    "--step", is_flag=True, help="Fit a continuum too that ends under the peak, as Compton's does."
+)
+@option(
+    "--escape-keV",
+    "KEV[:SHARE]",
+    "Quantum that leaves the crystal, such as 511 or 17.4:0.05 (may be repeated): a line below the "
+    "peak, its events over those of the peak fitted, or this share. Needs --energy-keV.",
+    "escapes",
+    multiple=True,
+)
+@option("--energy-keV", options.Number("KEV", 1e-3, 1e7), "Energy of the peak, keV.", "energy_keV")
 @options.file(
     "--calibration",
     "Campaign, or a file with its table [calibration]: FILEs are in channels of a digitiser; how "
@@ -79,7 +90,19 @@ class _Window(options.Written):
 @options.figure("the histograms with their fits")
 @options.json_output
 def peak(
-    files, shape, window, calibration_file, lines, map_file, depth_mm, deposits, figure, json_file
+    files,
+    shape,
+    window,
+    step,
+    escapes,
+    energy_keV,
+    calibration_file,
+    lines,
+    map_file,
+    depth_mm,
+    deposits,
+    figure,
+    json_file,
 ) -> None:
     """Centroid of the main peak in each histogram, in photons per event.
 
@@ -94,41 +117,29 @@ def peak(
     """
     from mcrim_mitsuba.campaign.calibration import calibration_of_file
     from mcrim_mitsuba.campaign.editor import calibration_json
-    from mcrim_mitsuba.laboratory.calibration import (
-        fit_histogram,
-        photons_of,
-        read_photons,
-        window_of,
-    )
     from mcrim_mitsuba.output.laboratory_figures import (
-        FittedHistogram,
         draw_calibration,
         draw_histograms,
         draw_lines,
         draw_widths,
     )
 
-    _refuse_unknown(shape)
+    below = _below(escapes, energy_keV, step)
+    if lines and (below.step or below.lines):
+        problem = "--step or --escape-keV beside --lines, whose neighbours lie below them"
+        raise InputError(problem, "fit one peak, with --window about it")
     if deposits and not map_file:
         raise InputError("--deposits says where gammas stop on a map", "give --map FILE.nc too")
-    inputs = [*files, *filter(None, (calibration_file, map_file, deposits))]
+    inputs = [inside(Path(file))[0] for file in files]
+    inputs += map(Path, filter(None, (calibration_file, map_file, deposits)))
     further = {"calibration": calibration_file, "lines": lines, "widths": map_file}
     showing.refuse_places(json_file, inputs, figure, *(name for name, of in further.items() if of))
     _refuse_duplicates(files)
-    names = [Path(file).name for file in files]
-    names = names if len(set(names)) == len(names) else list(files)
-    calibration = calibration_file and calibration_of_file(calibration_file)
-    fitted = []
-    for name, file in zip(names, files, strict=True):
-        histogram = read_photons(file, calibration or None)
-        with placed(path=histogram.path):
-            within = window_of(histogram, window)
-            main = fit_histogram(histogram, shape=shape, window=within)
-        fitted.append(FittedHistogram(name, histogram, main))
+    calibration = calibration_of_file(calibration_file) if calibration_file else None
+    fitted = _fitted(files, calibration, shape, window, below)
     peaks = {of.name: of.peak for of in fitted if of.peak is not None}
     notes = [f"{name}: {words}" for name, peak in peaks.items() for words in peak.warnings]
-    values = {name: photons_of(of, peak) for name, of, peak, _ in fitted if peak is not None}
-    combined, outliers, of_mean = _combined(values)
+    combined, outliers, of_mean = _combined(fitted)
     notes += of_mean
     document = {
         "histograms": [
@@ -160,6 +171,23 @@ def peak(
         raise InputError("no peak stands out", mend, path=without.histogram.path)
 
 
+def _fitted(files: tuple[str, ...], calibration, shape: str, window, below) -> list:
+    """Histograms by short names with their main peaks."""
+    from mcrim_mitsuba.laboratory.calibration import fit_histogram, read_photons, window_of
+    from mcrim_mitsuba.output.laboratory_figures import FittedHistogram
+
+    names = [Path(file).name for file in files]
+    names = names if len(set(names)) == len(names) else list(files)
+    fitted = []
+    for name, file in zip(names, files, strict=True):
+        histogram = read_photons(file, calibration)
+        with placed(path=histogram.path):
+            within = window_of(histogram, window)
+            main = fit_histogram(histogram, shape=shape, window=within, below=below)
+        fitted.append(FittedHistogram(name, histogram, main))
+    return fitted
+
+
 _OF_LINE = "energy_keV photons photons_sigma per_keV relative relative_sigma width"
 _OF_MEAN = "mean sigma scatter_sigma internal_sigma chi2 ndf p_value consistent outliers warnings"
 
@@ -179,14 +207,15 @@ def _lines(fitted: list, energies: str | None) -> tuple[dict, list[dict]]:
     ]
 
 
-def _combined(values: dict[str, tuple[float, float]]):
+def _combined(fitted: list):
     """The mean of several mountings, None of one; names of outliers among them, and notes."""
-    from mcrim_mitsuba.laboratory.peak import combine
+    from mcrim_mitsuba.laboratory.calibration import combined_photons
 
-    if len(values) < 2:
+    peaks = {name: (of, peak) for name, of, peak, _ in fitted if peak is not None}
+    if len(peaks) < 2:
         return None, [], []
-    combined = combine(*zip(*values.values(), strict=True))
-    outliers = [list(values)[i] for i in combined.outliers]
+    combined, _, _ = combined_photons(list(peaks.values()))
+    outliers = [list(peaks)[i] for i in combined.outliers]
     notes = list(combined.warnings)
     if outliers:
         notes.append(f"outlier: {', '.join(outliers)}")
@@ -218,12 +247,19 @@ def _widths(
     }
 
 
-def _refuse_unknown(shape: str) -> None:
-    """Refuse a shape that there is not."""
-    if shape not in _SHAPES:
-        meant = closest(shape, _SHAPES)
-        mend = f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}"
-        raise InputError(f"--shape {shape} is not known", mend)
+def _below(escapes: tuple[str, ...], energy_keV: float | None, step: bool):
+    """What is fitted below a peak, as the options say it."""
+    from mcrim_mitsuba.laboratory.peak_shapes import Below
+
+    quanta = []
+    for text in escapes:
+        quantum, _, share = text.partition(":")
+        number = parse_number("--escape-keV", quantum)
+        quanta.append((number, parse_number("its share", share) if share else None))
+    below = Below(tuple(quanta), step, energy_keV)
+    if len(below.lines) < len(quanta):
+        raise InputError("a quantum has more than the energy of the peak", "give less")
+    return below
 
 
 def _refuse_duplicates(files: tuple[str, ...]) -> None:
@@ -239,7 +275,7 @@ def _refuse_duplicates(files: tuple[str, ...]) -> None:
 
 _OF_PEAK = (
     "shape centroid centroid_sigma width width_sigma intrinsic_spread events chi2 ndf p_value "
-    "low high warnings"
+    "low high warnings **fitted_below"
 )
 
 
