@@ -88,6 +88,8 @@ SIMULATES = re.compile("--photons|--precision|^lab plan")
 #: What `sigma` is the error of; other names have theirs in NAME_sigma.
 OF_SIGMA = {"value", "lower", "upper", "measured", "ours"}
 UNIT_IS_ONE = re.compile("chi2|pull|^p_|^z$|collinearity|aicc")
+#: None from a threshold on: what is left in other outcomes, if there are any.
+OF_A_THRESHOLD = {"light_yield_sigma_otherwise"}
 #: What is listed in an order, or from a threshold on: where two are nearly alike, roundings decide
 #: which is the first, or the last that is listed.
 LISTED = {"next_measurements", "mimics"}
@@ -180,6 +182,8 @@ def differences(stored: Any, found: Any, tolerance: Tolerance, where: str = "") 
                 error = abs(as_number(sigma)) if is_number(sigma) else 0.0
                 if not tolerance.allows(as_number(value), as_number(found[key]), key, error):
                     yield f"{where}/{key}: {value} was stored, {found[key]} found"
+            elif key in OF_A_THRESHOLD and None in (value, found[key]):
+                continue
             elif key in LISTED and type(value) is type(found[key]):
                 sides = (s.split() if isinstance(s, str) else s for s in (value, found[key]))
                 old, new = ({name_of(each): each for each in side} for side in sides)
