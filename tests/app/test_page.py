@@ -8,7 +8,7 @@ import time
 import pytest
 from app_page import KEYS, LONGEST_SIMULATION_S, misfit, running
 
-MANY_PHOTONS = 2_097_152
+MANY_PHOTONS = 1_048_576
 
 
 @pytest.fixture
