@@ -115,16 +115,16 @@ class SectionAxes:
 
     def _draw_faces(self, interfaces: Sequence[Interface]) -> None:
         """Draw lines where the plane cuts faces, hatched behind reflectors, and the black mask."""
-        styles = {"dielectric": (INK, 0.8), "diffuse reflector": (INK, 1.5)}
-        styles |= {"detector": (_DETECTOR, 5.0)}
+        reflectors = dict.fromkeys(("diffuse reflector", "mirror", "black surface"), (INK, 1.5))
+        styles = reflectors | {"dielectric": (INK, 0.8), "detector": (_DETECTOR, 5.0)}
         band = 16 * np.diff(self.ax.get_ylim()) / self.box.height  # mm: as thick as 16 pixels
         for trace in self.cut.traces:
             surface = self.model.surfaces[trace.surface]
             face = surface.seen
             kind = interfaces[trace.surface].kind
-            text, percent = kind, 100 * face.reflectance
-            if percent > 0:
-                text = f"{face.name}: {kind}, {percent:.3g} %"
+            text = f"{face.name}: {kind}" if kind in reflectors else kind
+            if face.reflectance > 0:
+                text = f"{face.name}: {kind}, {100 * face.reflectance:.3g} %"
                 # paint lies outside of the face that wears it
                 back = -trace.back if surface.painted else trace.back
                 far = trace.points[::-1] + band * back

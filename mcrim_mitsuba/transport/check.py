@@ -21,8 +21,6 @@ from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.scene_model import (
     DETECTOR,
-    KIND_NAMES,
-    OTHER,
     FlatFace,
     SceneModel,
     Surface,
@@ -78,7 +76,7 @@ def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
     faces = []
     for surface in model.surfaces:
         element = elements[surface.name]
-        kind = surface.plugin if surface.kind == OTHER else KIND_NAMES[surface.seen.kind]
+        kind = surface.seen.kind_name
         inner, outer = (model.volumes[side].name for side in surface.sides)
         n_inner, n_outer = check_text.indices_of(file, element) or (None, None)
         place = file.place_of(element)

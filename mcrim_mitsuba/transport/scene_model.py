@@ -117,6 +117,15 @@ class Surface:
         return self.wrapping if self.painted and self.wrapping is not None else self
 
     @property
+    def kind_name(self) -> str:
+        """What it is, in words: reflectors by what most of their light does."""
+        if self.kind == DIFFUSE and self.reflectance == 0.0:
+            return "black surface"
+        if self.kind == DIFFUSE and self.mirror_part > 0.5:
+            return "mirror"
+        return self.plugin if self.kind == OTHER else KIND_NAMES[self.kind]
+
+    @property
     def acceptance_deg(self) -> float:
         """Largest angle to the normal that a detector accepts; 90 where it accepts all."""
         return round(math.degrees(math.acos(self.least_cosine)), 6)
