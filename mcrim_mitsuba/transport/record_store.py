@@ -58,7 +58,7 @@ def _log_rayleigh(step: Step, mine):
 
 
 def _at_surface(event: Callable[..., Any]) -> Callable[..., Any]:
-    """How often something happens (Mask, UInt32 or ``None``) at a surface, if the photon goes on."""
+    """How often (UInt32 or ``None``) something happens at a surface, where the photon goes on."""
 
     def happens(step: Step, mine):
         happened = event(step.outcome, mine)

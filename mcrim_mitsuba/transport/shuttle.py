@@ -105,11 +105,10 @@ class Shuttle:
         - It reflects as a mirror alone, and touches nowhere.
         - The crystal scatters evenly.
         """
-        solid = film.crystal
         pairs = [model.flat_faces[face] for pair in _mirrored(film).values() for face in pair]
         if len(body.axes) < 3 or film.surface.mirror_part < 1.0 or not pairs:
             return None
-        if model.volumes[solid.volume].uneven or any(s.contact for s in model.surfaces):
+        if model.volumes[film.crystal.volume].uneven or any(s.contact for s in model.surfaces):
             return None
         for plane in film.within.planes:
             sign = 1.0 if plane.high else -1.0
@@ -165,7 +164,9 @@ class Shuttle:
         crossing_mm = self._of(face, lambda axis: self._body.axes[axis][2]) / cosine
         trip_mm = self._twice / in_film
         mine = active & (outcome.fate == ALIVE) & (outcome.volume == self._crystal)
-        mine &= (in_film2 > 0.0) & is_any(face, [f for pair in self._mirrors.values() for f in pair])
+        mine &= (in_film2 > 0.0) & is_any(
+            face, [f for pair in self._mirrors.values() for f in pair]
+        )
         ways = []
         for number in range(2):
             way, reflects = self._way(outcome, face, number, crossing_mm, trip_mm)
@@ -250,5 +251,5 @@ def _mirrored(film: WrappingFilm) -> dict[int, tuple[int, int]]:
         for plane in film.crystal.planes
         if sorted(plane.axis) == [0.0, 0.0, 1.0] and plane.faces[0] in film.walls
     }
-    pairs = {axis: (ends.get((axis, False)), ends.get((axis, True))) for axis in range(3)}
-    return {a: (low, high) for a, (low, high) in pairs.items() if None not in (low, high)}
+    axes = [a for a in range(3) if (a, False) in ends and (a, True) in ends]
+    return {axis: (ends[axis, False], ends[axis, True]) for axis in axes}
