@@ -39,7 +39,7 @@ _LEAST = 1e-9
 
 
 @dataclass(kw_only=True)
-class _Way:
+class _Course:
     """Light's way along one of the two axes that its mirrors are not on, in widths of the box."""
 
     low: Any
@@ -137,7 +137,7 @@ class Shuttle:
         low, high, total = (of(lambda i, k=k: self._bounds[i][k]) for k in range(3))
         width, per_width = (of(lambda i, k=k: self._body.axes[i][k]) for k in (2, 3))
         upwards, size = part > 0.0, dr.maximum(dr.abs(part), _LEAST)
-        way = _Way(
+        way = _Course(
             low=low,
             high=high,
             width=width,
@@ -204,7 +204,7 @@ class Shuttle:
         folds = edges + dr.select(turns, mi.UInt32(1), 0)
         return dr.select(mine, crossings * crossing_mm, 0.0), dr.select(mine, folds, 0)
 
-    def _put(self, outcome: Outcome, face, ways: list[_Way], counts, cosines, mine):
+    def _put(self, outcome: Outcome, face, ways: list[_Course], counts, cosines, mine):
         """Give light its place, direction and face; how many edges it has passed (UInt32)."""
         (crossings, trips, stays), (towards, in_film) = counts, cosines
         # where it is reflected in the film it flies away from the face outwards
