@@ -17,6 +17,7 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from mcrim_mitsuba.transport import dielectric
 from mcrim_mitsuba.transport.conversion import opaque
@@ -26,6 +27,8 @@ from mcrim_mitsuba.transport.folding import FoldedBody
 from mcrim_mitsuba.transport.scene_model import OUTSIDE, SceneModel
 from mcrim_mitsuba.transport.surface_physics import ALIVE, REFLECTOR, Outcome
 
+#: Films thicker than this part of the crystal's width pass by an edge too soon to be worth it.
+_THICKEST = 0.1
 #: Most crossings in one step.
 _MOST_CROSSINGS = 64.0
 #: Edges along an axis that are looked at; light stops before the next one.
@@ -102,6 +105,7 @@ class Shuttle:
         """That of a film, or None where light goes trip by trip.
 
         - It wraps a box, all axes of which fold, and stands before all of two opposite faces.
+        - The film is thin.
         - It reflects as a mirror alone, and touches nowhere.
         - The crystal scatters evenly.
         """
@@ -116,6 +120,12 @@ class Shuttle:
                 beyond = sign * (face.corners @ plane.axis - plane.offset)
                 if beyond.max() > slack_of(model):
                     return None
+        ends = [face.corners.mean(axis=0) for face in pairs]
+        across = min(
+            np.linalg.norm(high - low) for low, high in zip(ends[::2], ends[1::2], strict=True)
+        )
+        if film.distance_mm > _THICKEST * across:
+            return None
         etas = {model.surfaces[face.surface].eta for face in pairs}
         return cls(film, body, etas.pop()) if len(etas) == 1 else None
 
