@@ -161,8 +161,8 @@ class EffectResponse:
 
 def _outer(weights: Sequence[NDArray]) -> NDArray:
     """(nodes of all axes,) products of the axes' weights; a single 1 without axes."""
-    product = np.ones(1, weights[0].dtype) if weights else np.ones(1)
-    for each in weights:
+    product = weights[0] if weights else np.ones(1)
+    for each in weights[1:]:
         product = (product[:, None] * each).reshape(-1)
     return product
 

@@ -343,10 +343,12 @@ class Statistic:
         theta = x.copy()
         if self._curved:
             theta[self.logarithmic] = np.exp(theta[self.logarithmic])
-            with np.errstate(divide="ignore"):
-                theta[self._reciprocal] = 1.0 / theta[self._reciprocal]
+            if self._reciprocal.any():
+                with np.errstate(divide="ignore"):
+                    theta[self._reciprocal] = 1.0 / theta[self._reciprocal]
         # the logarithm of a bound may come back as a number beyond it
-        return np.clip(theta, *self.bounds)
+        low, high = self.bounds
+        return np.minimum(np.maximum(theta, low), high)
 
     def slopes_of_external(self, theta: Array) -> Array:
         """(free,) d parameter / d searched coordinate."""

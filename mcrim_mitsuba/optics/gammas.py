@@ -5,6 +5,7 @@ xraydb is imported only when it is asked: that takes longer than all else.
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from collections.abc import Callable, Iterable
@@ -102,6 +103,7 @@ class AttenuationLength:
         return -np.expm1(-np.asarray(depth_mm, dtype=float) / self.length_mm)
 
 
+@functools.lru_cache(maxsize=64)  # half of the time of reading a campaign once more
 def attenuation_length_mm(
     formula: str, energy_keV: float, density_g_per_cm3: float | None = None
 ) -> AttenuationLength:

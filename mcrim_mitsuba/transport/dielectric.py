@@ -60,14 +60,12 @@ def split(direction, field, facing, ratio, cos_i, choice):
     cos_t = dr.safe_sqrt(cos_t2)
 
     if field is not None:
-        reflectance, waves = _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2)
+        part, waves = _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2)
     else:
-        r_s = (ratio * cos_i - cos_t) / dr.fma(ratio, cos_i, cos_t)
-        r_p = (ratio * cos_t - cos_i) / dr.fma(ratio, cos_t, cos_i)
-        reflectance = 0.5 * (dr.square(r_s) + dr.square(r_p))
-    reflectance = dr.select(total, 1.0, dr.select(matched, 0.0, reflectance))
+        part = reflectance(ratio, cos_i, cos_t)
+    part = dr.select(total, 1.0, dr.select(matched, 0.0, part))
 
-    reflected = choice < reflectance
+    reflected = choice < part
     mirrored = dr.fma(facing, 2.0 * cos_i, direction)
     bent = dr.fma(direction, ratio, facing * (ratio * cos_i - cos_t))
     new_direction = dr.normalize(dr.select(reflected, mirrored, bent))
@@ -75,6 +73,16 @@ def split(direction, field, facing, ratio, cos_i, choice):
     if field is not None:
         new_field = _field_after(waves, reflected, matched, new_direction, field)
     return new_direction, new_field, reflected
+
+
+def reflectance(ratio, cos_i, cos_t):
+    """Of unpolarised light, from its cosines to the normal on either side; `ratio` as in `split`.
+
+    Not at equal indices, nor in total reflection.
+    """
+    r_s = (ratio * cos_i - cos_t) / dr.fma(ratio, cos_i, cos_t)
+    r_p = (ratio * cos_t - cos_i) / dr.fma(ratio, cos_t, cos_i)
+    return 0.5 * (dr.square(r_s) + dr.square(r_p))
 
 
 def components(direction, field, facing):

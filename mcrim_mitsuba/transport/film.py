@@ -10,6 +10,7 @@ does. Random numbers aside, every photon fares as from face to face.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -49,6 +50,13 @@ class WrappingFilm:
     crystal: Solid
 
 
+#: Films by geometry, and by what the surfaces are to them: benches that follow each other often
+#: differ in other things alone.
+_known_films: dict[Hashable, WrappingFilm | None] = {}
+#: The most that are kept.
+_MOST_KNOWN = 64
+
+
 def film_before(model: SceneModel, crystal: Solid) -> WrappingFilm | None:
     """The film around a crystal, or None where there is none, or light must go from face to face.
 
@@ -58,14 +66,28 @@ def film_before(model: SceneModel, crystal: Solid) -> WrappingFilm | None:
       they enclose; a round one has the axis of the crystal's.
     - Nothing else stands in there.
     """
+    faces = model.flat_faces
+    numbers = {face.surface for face in faces if _is_wall(model, face.surface)}
+    numbers |= {wall.surface for wall in model.walls if _is_wall(model, wall.surface)}
+    surfaces = {model.surfaces[number] for number in numbers}
+    if len({replace(surface, name="") for surface in surfaces}) != 1:
+        return None
+    plain = tuple(_is_plain(surface, crystal.volume) for surface in model.surfaces)
+    key = model.geometry, crystal.volume, frozenset(numbers), plain
+    if key not in _known_films:
+        if len(_known_films) >= _MOST_KNOWN:
+            del _known_films[next(iter(_known_films))]
+        _known_films[key] = _find_film(model, crystal, surfaces.pop())
+    film = _known_films[key]
+    return film and replace(film, surface=model.surfaces[min(numbers)])
+
+
+def _find_film(model: SceneModel, crystal: Solid, surface: Surface) -> WrappingFilm | None:
+    """See `film_before`; the walls are all of one surface."""
     faces, slack = model.flat_faces, slack_of(model)
     own = {number for plane in crystal.planes for number in plane.faces}
     walls = [number for number, face in enumerate(faces) if _is_wall(model, face.surface)]
     mantles = [wall for wall in model.walls if _is_wall(model, wall.surface)]
-    numbers = {faces[number].surface for number in walls} | {wall.surface for wall in mantles}
-    surfaces = {model.surfaces[number] for number in numbers}
-    if len({replace(surface, name="") for surface in surfaces}) != 1:
-        return None
     rims = [faces[number].corners for number in (*walls, *own)]
     rims += [wall.circle.points(end) for wall in mantles for end in (wall.low_mm, wall.high_mm)]
     low, high = np.concatenate(rims).min(axis=0) + slack, np.concatenate(rims).max(axis=0) - slack
@@ -99,7 +121,7 @@ def film_before(model: SceneModel, crystal: Solid) -> WrappingFilm | None:
             distances.append(mantles[0].circle.radius_mm - model.walls[number].circle.radius_mm)
     if not pairs or np.ptp(distances) > slack or distances[0] <= slack:
         return None
-    return WrappingFilm(pairs, distances[0], surfaces.pop(), within, crystal)
+    return WrappingFilm(pairs, distances[0], surface, within, crystal)
 
 
 def _is_wall(model: SceneModel, surface: int) -> bool:

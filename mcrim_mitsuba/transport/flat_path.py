@@ -32,6 +32,7 @@ from mcrim_mitsuba.transport.convex import (
 from mcrim_mitsuba.transport.film import FilmTrips, film_before
 from mcrim_mitsuba.transport.folding import FoldedBody
 from mcrim_mitsuba.transport.scene_model import OTHER, OUTSIDE, RoundWall, SceneModel, Surface
+from mcrim_mitsuba.transport.shuttle import Shuttle
 
 #: More faces than this, or planes of convex volumes, and a tree is faster.
 MOST_FACES = 64
@@ -142,7 +143,12 @@ class FlatPath:
         self.folded = next((b for b in self._bodies if isinstance(b, FoldedBody)), None)
         #: What leads light through the film before a wrapping.
         films = (film_before(model, solid) for solid in solids if solid.volume == fold)
-        self.film = next((FilmTrips(model, film) for film in films if film is not None), None)
+        film = next((film for film in films if film is not None), None)
+        self.film = None if film is None else FilmTrips(model, film)
+        #: What leads it to and fro between a wrapping's mirrors.
+        self.shuttle = None
+        if film is not None and self.folded is not None:
+            self.shuttle = Shuttle.before(model, film, self.folded)
         # numbers of the faces that are tested one by one, their interior and exterior, their bounds
         self._alone = [
             (number, model.surfaces[faces[number].surface].sides, self._shape(faces[number]))

@@ -141,7 +141,9 @@ class FoldedBody(ConvexBody):
         super().__init__(model, solid, shape_of, number)
         axes = folded_axes(model, solid)
         planes = {(plane.axis, plane.high): plane for plane in solid.planes}
-        self._folded, self._straight, widths = {}, [], []
+        #: By axis that folds: its slab, where its ends reflect all, its width (mm) and 1 over that.
+        self.axes: dict[int, tuple] = {}
+        self._straight, widths = [], []
         self._contacts: dict[int, tuple] = {}
         #: Numbers of faces that light meets at an angle of total reflection where it is touched.
         self.touched: list[int] = []
@@ -154,7 +156,7 @@ class FoldedBody(ConvexBody):
             widths.append(ends[1].offset - ends[0].offset)
             # not shared where they agree by chance: the kernel must not depend on indices
             totals = [opaque([_all_total_from(model, solid, end.faces)]) for end in ends]
-            self._folded[axis] = slab, totals, number(widths[-1]), number(1.0 / widths[-1])
+            self.axes[axis] = slab, totals, number(widths[-1]), number(1.0 / widths[-1])
             contacts = [_contact_of(model, solid, end.faces) or 0.0 for end in ends]
             if any(contacts):
                 per_log = opaque([1.0 / math.log1p(-max(contacts))])
@@ -180,7 +182,7 @@ class FoldedBody(ConvexBody):
             t, _, root2 = self._wall.disc.crossings(ray)
             opens = ~self._reflects_round(root2)
             out.let_out(opens & (t < out.out), t, self._wall.met_at(ray, t))
-        for axis, (slab, totals, width, _) in self._folded.items():
+        for axis, (slab, totals, width, _) in self.axes.items():
             reciprocal, start, upwards = ray.along(slab.axis, slab.weights)
             sine2 = dr.fma(-ray.direction[axis], ray.direction[axis], 1.0)
             low, high = slab.sides[False], slab.sides[True]
@@ -220,7 +222,7 @@ class FoldedBody(ConvexBody):
         folds = mi.UInt32(0)
         if self._wall_total is not None:
             folds = self._turn(place, flying, Ray(origin, direction), distance, mine)
-        for axis, (slab, _, width, per_width) in self._folded.items():
+        for axis, (slab, _, width, per_width) in self.axes.items():
             low, high = slab.sides[False], slab.sides[True]
             along = place[axis] - low.offset
             cell = dr.floor(along * per_width)

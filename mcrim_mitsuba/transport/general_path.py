@@ -55,7 +55,7 @@ class GeneralPath:
     #: What reports call this path; a scene whose flat faces need no tracing has its own name.
     name = "Mitsuba for all shapes"
     #: Flights of its light are straight.
-    folded = None
+    folded = shuttle = None
 
     def __init__(self, model: SceneModel, polarization: bool, *, trace_all: bool = False) -> None:
         self.model = model

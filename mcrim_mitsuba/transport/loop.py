@@ -54,6 +54,7 @@ class Photon:
     field: Any  #: polarisation (`dielectric.Field`), where it is followed
     volume: mi.UInt32  #: volume it is in
     face: mi.UInt32  #: flat face it is on, or `NO_FACE`
+    free: Any  #: what is left of its way to a scattering, mm; 0 if not known, ``None`` if never
     w: mi.Float  #: weight, 1 at birth
     steps: mi.UInt32  #: free flights so far
     history: Any  #: what records keep of the flights (`RecordStore.nothing`)
@@ -214,6 +215,7 @@ class Loop:
             field=field,
             volume=dr.full(mi.UInt32, self.emitter.birth_volume, lanes),
             face=dr.full(mi.UInt32, NO_FACE, lanes),
+            free=None if self.path.shuttle is None else dr.zeros(mi.Float, lanes),
             w=dr.full(mi.Float, 1.0, lanes),
             steps=dr.zeros(mi.UInt32, lanes),
             history=None if self.store is None else self.store.nothing(lanes),
@@ -244,6 +246,8 @@ class Loop:
         nowhere = ahead == dr.inf
         drawn = dr.detach(a_s)
         to_scatter = -dr.log(1.0 - free) / drawn
+        if p.free is not None:
+            to_scatter = dr.select(p.free > 0.0, p.free, to_scatter)
         colour = None
         if self._scattering.coloured and self._aim is None:
             colour = self._lattice.coordinate(self._lattice.mirrored(p.serial), 6)
@@ -262,6 +266,18 @@ class Loop:
             position, arriving, folds = path.folded.folded(p.o, p.d, distance, reached, mine)
             onwards = mine & ~scatters & (met == NO_FACE)
 
+        # ---------------- surface: reflects, refracts, counts or absorbs
+        at_surface = ~(scatters | nowhere | onwards)
+        uniforms = choice, u, v, turn
+        outcome = path.interact(position, arriving, p.field, met, uniforms, rng, at_surface)
+        way_left = None
+        if path.shuttle is not None:
+            left, mine = to_scatter - distance, mine & at_surface
+            flown, passed = path.shuttle.go(outcome, met, left, rng, mine)
+            distance, weighted, folds = distance + flown, weighted + flown, folds + passed
+            mine &= outcome.volume == path.folded.solid.volume
+            way_left = dr.select(mine, left - flown, 0.0)
+
         # ---------------- absorption in the volume: by weight; of faint photons some whole
         transmitted = dr.exp(-a_a * distance)
         kept = dr.detach(transmitted)
@@ -276,11 +292,7 @@ class Loop:
             # factors of 1 whose slopes are those of the probabilities of what was drawn
             w *= dr.select(by_weight, 1.0, transmitted / kept)
             w *= dr.exp((drawn - a_s) * weighted) * dr.select(scatters, a_s / drawn, 1.0)
-
-        # ---------------- surface: reflects, refracts, counts or absorbs
-        at_surface = ~(scatters | nowhere | dies | onwards)
-        uniforms = choice, u, v, turn
-        outcome = path.interact(position, arriving, p.field, met, uniforms, rng, at_surface)
+        at_surface &= ~dies
 
         # ---------------- fate: what became of the photon, and whether it is over
         fate = dr.select(at_surface, outcome.fate, mi.UInt32(physics.ALIVE))
@@ -368,6 +380,7 @@ class Loop:
             field=field,
             volume=dr.select(ended, mi.UInt32(self.emitter.birth_volume), volume),
             face=dr.select(at_surface & ~ended, face, mi.UInt32(NO_FACE)),
+            free=None if way_left is None else dr.select(ended, 0.0, way_left),
             w=dr.select(ended, 1.0, w),
             steps=dr.select(ended, mi.UInt32(0), steps),
             history=history,

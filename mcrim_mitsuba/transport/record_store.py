@@ -58,11 +58,12 @@ def _log_rayleigh(step: Step, mine):
 
 
 def _at_surface(event: Callable[..., Any]) -> Callable[..., Any]:
-    """Whether something happens (Mask or ``None``) at a surface, and the photon goes on."""
+    """How often (UInt32 or ``None``) something happens at a surface, where the photon goes on."""
 
     def happens(step: Step, mine):
         happened = event(step.outcome, mine)
-        return None if happened is None else happened & step.at_surface & ~step.ended
+        goes_on = step.at_surface & ~step.ended
+        return None if happened is None else dr.select(goes_on, mi.UInt32(happened), 0)
 
     return happens
 
@@ -72,7 +73,7 @@ _REFLECTS = _at_surface(lambda outcome, mine: outcome.polished & ~outcome.crosse
 
 def _reflections(step: Step, mine):
     """Those at the end of a flight, and those that it passed over."""
-    return mi.UInt32(_REFLECTS(step, mine)) + (0 if step.folds is None else step.folds)
+    return _REFLECTS(step, mine) + (0 if step.folds is None else step.folds)
 
 
 #: Of all records: the weight at the proposal's absorption, scatterings in the crystal, path in it.

@@ -191,7 +191,8 @@ class Outcome:
     #: ``None`` where none goes through such a film in this step (`transport.film`).
     face: Any = None
     in_film: Any = None
-    #: Whether a diffuse reflector or a detector sent it back; ``None`` where none ever does.
+    #: Whether a reflector (or UInt32: how often one), or a detector sent it back; ``None`` where
+    #: none ever does.
     from_reflector: Any = None
     from_detector: Any = None
     #: Whether the upper side of a mask did; ``None`` where none ever does.

@@ -57,6 +57,7 @@ def _with_effect(name: str) -> SceneFile:
 
 CASES: dict[str, Callable[[], SceneFile]] = {
     **{name.strip("_") or "box": lambda name=name: _of_crystal(name) for name in CRYSTALS},
+    "mirrors": lambda: read_scene(SCENES / "lyso_esr.xml"),
     **{
         effect.name: lambda name=effect.name: _with_effect(name)
         for effect in BUILT_IN.values()

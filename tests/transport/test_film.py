@@ -45,6 +45,11 @@ def test_the_film_before_every_wall_is_found(scenes):
     ]
 
 
+def test_films_of_one_geometry_differ_in_their_walls(scenes):
+    kept = [film_of(wrapped(scenes, wrap_reflectance=r)).surface.reflectance for r in (0.9, 0.8)]
+    assert kept == pytest.approx([0.9, 0.8])
+
+
 @pytest.mark.parametrize("effect", ["wrap_contact", "wrap_specular"])
 def test_a_wrapping_that_touches_or_mirrors_has_its_film(scenes, effect):
     assert film_of(wrapped(scenes, effect)) is not None
