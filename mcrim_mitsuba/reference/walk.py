@@ -401,6 +401,16 @@ def _indices(tables, surface, volume, leaving):
 
 
 @compiled
+def _arrival_radius(birth, position, radius):
+    """How far from the detector's axis light arrives (mm), or from that of its beam."""
+    if birth["beam_radius"] == 0.0:
+        return radius
+    low, high = _box(birth)
+    away = _with(plus(position, -0.5, plus(low, 1.0, high)), birth["axis"], 0.0)
+    return math.sqrt(dot(away, away))
+
+
+@compiled
 def _walk(tables, birth, rng, most_flights, polarised, record):
     """Follow a photon to its fate; what it went through is written into a row of records."""
     position, direction = _birth(tables, birth, rng)
@@ -451,15 +461,8 @@ def _walk(tables, birth, rng, most_flights, polarised, record):
             direction = lambertian(rng, facing)
             field = depolarised(rng, field, direction)
         elif surface["kind"] == DETECTOR:
-            record[COSINE], record[PLACE], record[RADIUS] = (
-                abs(dot(direction, axis)),
-                number,
-                radius,
-            )
-            if birth["beam_radius"] > 0.0:
-                low, high = _box(birth)
-                away = _with(plus(position, -0.5, plus(low, 1.0, high)), birth["axis"], 0.0)
-                record[RADIUS] = math.sqrt(dot(away, away))
+            record[COSINE], record[PLACE] = abs(dot(direction, axis)), number
+            record[RADIUS] = _arrival_radius(birth, position, radius)
             fate, direction, field = _detector(rng, surface, radius, direction, facing, field)
         elif surface["kind"] >= REFLECTS:
             if leaving and surface["two_sided"] == 0:
