@@ -571,7 +571,8 @@ def _read_next(table: TomlTable, campaign: Campaign) -> dict[str, Any]:
         elif (wrong := _wrong_next(name, values, campaign)) is not None:
             raise table.refusal(name, *wrong)
         else:
-            entries[name] = list(dict.fromkeys(map(float, values)))
+            number = str if name == COUNTED else float
+            entries[name] = list(dict.fromkeys(map(number, values)))
     return entries
 
 
@@ -599,6 +600,11 @@ def _wrong_next(name: str, values: Any, campaign: Campaign) -> tuple[str, str] |
             f"{name} is not a parameter of {scene.path.name}",
             did_you_mean(name, [*scene.parameters, schema.NEXT_SIGMA, schema.NEXT_MINUTES]),
         )
+    if name == COUNTED and isinstance(values, list) and values:
+        for value in values:
+            for wrong_name in problems_of_counted(scene.with_overrides({COUNTED: str(value)})):
+                return wrong_name.text, wrong_name.mend
+        return None
     if isinstance(present[name], (bool, str)):
         return f"{name} is not a number", f"remove {name}"
     if name in parameters and not parameters[name].fixed:

@@ -10,7 +10,7 @@ import operator
 from typing import Any
 
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, COUNTED
 from mcrim_mitsuba.core.toml_document import TomlTable
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.laboratory.peak import SHAPES
@@ -291,7 +291,7 @@ CAMPAIGN: Entries = {
     NEXT: {
         "type": "object",
         "description": "Values of scene parameters among which further measurements are proposed",
-        "properties": NEXT_ENTRIES,
+        "properties": {**NEXT_ENTRIES, COUNTED: _VALUES | {"items": {"type": "string"}}},
         "additionalProperties": _VALUES,
     },
     TOLERANCES: {

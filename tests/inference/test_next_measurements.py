@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from refusals import refusal
 from trials import formula_bench as bench
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
@@ -190,3 +191,17 @@ def test_what_is_proposed_is_in_proportion_to_the_bench(scenes, tmp_path):
         "crystal_height_mm": {3.0, 10.0, 15.0, 25.0, 30.0},
     }
     assert all(found.count(each) == 1 for each in found)
+
+
+def test_an_end_of_a_bar_may_be_proposed(scenes, tmp_path):
+    """What is read at both ends was refused: detector is no number."""
+    text = (scenes / "plastic_bar.toml").read_text().replace('= "plastic', f'= "{scenes}/plastic')
+    ends = '\n[next_measurements]\nsource_z_mm = [10.0]\ndetector = ["left", "right"]\n'
+    path = tmp_path / "bar.toml"
+    path.write_text(text + ends)
+    assert buildable(read_campaign(path)) == [
+        {"source_z_mm": 10.0, "detector": end} for end in ("left", "right")
+    ]
+    path.write_text(text + ends.replace('"left"', '"lefft"'))
+    assert "detector = 'lefft' is the id of no shape" in refusal(read_campaign, path)
+    assert "did you mean left?" in refusal(read_campaign, path)
