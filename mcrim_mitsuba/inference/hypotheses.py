@@ -44,9 +44,7 @@ NAMES = ("A", "B", "C")
 PREFERRED = "preferred"
 # What makes a row of a measurement file, its scene parameters besides, and how far numbers may
 # differ that were read from histograms in one campaign and written out in the other.
-_OF_A_ROW = (
-    *("label", "kind", "sample", "signal", "sigma", "use", "group", "group_sigma", "shared"),
-)
+_OF_A_ROW = tuple("label kind sample signal sigma use group group_sigma shared".split())
 _ROUNDED = 1e-6
 
 
