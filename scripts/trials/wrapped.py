@@ -20,6 +20,7 @@ from typing import Any
 
 import click
 import numpy as np
+from scipy.stats import chi2
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
@@ -49,6 +50,8 @@ EFFECTS = {
     "surface_absorption": (0.003, 0.01),
 }
 CAUSES = (*NUMBERS, *EFFECTS, BAD_READING, NOTHING)
+#: Probability of chi2 below which readings fail.
+FAILS = 0.01
 #: What is bad by a factor.
 BAD = 1.12
 SIGMA, PHOTONS = 0.01, 200_000
@@ -203,8 +206,12 @@ def main(
 
 
 def show(screen: Screen, outcomes: Sequence[tuple[str, dict[str, Any]]]) -> None:
-    """A row for each cause, and one of all."""
-    head = ("hidden", "trials", "named", "adequate", "light yield within 2 errors", "median error")
+    """A row for each cause, and one of all.
+
+    What the readings hardly feel can only be covered: those are counted whose readings fail.
+    """
+    head = ("hidden", "trials", "readings fail", "named of these", "certain of another")
+    head += ("light yield within 2 errors", "median error")
     rows = []
     for cause in (*CAUSES, "all"):
         of_cause = [row for name, row in outcomes if cause in (name, "all")]
@@ -212,12 +219,15 @@ def show(screen: Screen, outcomes: Sequence[tuple[str, dict[str, Any]]]) -> None
             continue
         pulls = [row["pull"] for row in of_cause if row["pull"] is not None]
         errors = [row["relative_error"] for row in of_cause if row["pull"] is not None]
+        failing = [row for row in of_cause if chi2.sf(row["chi2"], row["ndf"]) < FAILS]
+        astray = sum(row["verdict"] == "missing_effect" and not row["named"] for row in of_cause)
         rows.append(
             (
                 cause,
                 str(len(of_cause)),
-                str(sum(row["named"] for row in of_cause)),
-                str(sum(row["verdict"] == "adequate" for row in of_cause)),
+                str(len(failing)),
+                str(sum(row["named"] for row in failing)),
+                str(astray),
                 f"{sum(abs(pull) < 2.0 for pull in pulls)} of {len(pulls)}",
                 f"{100 * float(np.median(errors)):.1f} %" if errors else "",
             )
