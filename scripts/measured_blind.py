@@ -11,9 +11,11 @@ said N.json, and is not done again. A table of Markdown is printed in the end.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import sys
 import tempfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,8 +25,9 @@ from measured_elsewhere import FINISHES, GAGG, PIXEL, campaign_in
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.effects.catalogue import add, catalogue
-from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.reference.tracer import DetectedHistories, trace
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 NOTHING = "none"
@@ -50,6 +53,8 @@ OF_PIXEL: dict[str, tuple[float, float, set[str]]] = {
 #: Photons of the tracer for a reading of the bar, an error of 0.5 % beside 5 %; and of the pixel,
 #: 0.2 % beside 0.7 %.
 PHOTONS_OF_BAR, PHOTONS_OF_PIXEL = 60_000, 250_000
+#: Scattering coefficient, 1/cm, with which the plain pixel is traced.
+REFERENCE = 0.04
 #: Pulse height of the first reading of the pixel, V.
 FIRST_V = 0.45
 
@@ -85,6 +90,25 @@ def bar_readings(cause: str, size: float, seed: int) -> str:
     return "\n".join(lines) + "\n"
 
 
+@functools.cache
+def plain_histories(without: str, place: float) -> DetectedHistories:
+    """Of light that the plain pixel detects, for all campaigns in which its bench is as it is."""
+    scene = mcrim.read_campaign(PIXEL / "lso_pixel.toml").scene.with_overrides(
+        {"ptfe_without": without, "source_z_mm": place, ALPHA_SCAT: REFERENCE, ALPHA_ABS: 0.0}
+    )
+    seed = zlib.crc32(f"{without} {place}".encode())
+    histories = trace(scene, PHOTONS_OF_PIXEL, seed, histories=True).histories
+    assert histories is not None
+    return histories
+
+
+def reweighted(histories: DetectedHistories, scattering: float, absorption: float) -> float:
+    """Efficiency with other coefficients, 1/cm, of light traced with `REFERENCE` and no loss."""
+    weights = (scattering / REFERENCE) ** histories.scatterings
+    weights *= np.exp(-(scattering - REFERENCE) * histories.scattering_path_cm)
+    return float((weights * np.exp(-absorption * histories.path_cm)).sum() / PHOTONS_OF_PIXEL)
+
+
 def pixel_readings(cause: str, size: float, seed: int) -> str:
     """The pixel's readings by the independent tracer, with its errors, as a measurement file."""
     rng = np.random.default_rng(seed)
@@ -96,8 +120,8 @@ def pixel_readings(cause: str, size: float, seed: int) -> str:
     elif cause in catalogue() and catalogue()[cause].reading is None:
         scene = with_cause(scene, cause, size)
     values = {
-        "alpha_scat_per_cm": rng.uniform(0.01, 0.08),
-        "alpha_abs_per_cm": rng.uniform(0.005, 0.04),
+        ALPHA_SCAT: rng.uniform(0.01, 0.08),
+        ALPHA_ABS: rng.uniform(0.005, 0.04),
     }
     shift = size * rng.choice((-1.0, 1.0)) if cause == ZERO else 0.0
     bend = size if cause == "nonlinearity" else 0.0
@@ -114,7 +138,9 @@ def pixel_readings(cause: str, size: float, seed: int) -> str:
         done = next(r for r in readings if r.group == label_of[reading.group])
         place = float(reading.parameters["source_z_mm"]) + shift
         key = done.parameters.get("ptfe_without", "none"), place
-        if key not in etas:
+        if key not in etas and scene is campaign.scene and not shift:
+            etas[key] = reweighted(plain_histories(*key), values[ALPHA_SCAT], values[ALPHA_ABS])
+        elif key not in etas:
             bench = scene.with_overrides({**values, "ptfe_without": key[0], "source_z_mm": place})
             etas[key] = trace(bench, PHOTONS_OF_PIXEL, seed + len(etas)).eta
         return etas[key]
