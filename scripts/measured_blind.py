@@ -27,7 +27,7 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.effects.catalogue import add, catalogue
-from mcrim_mitsuba.reference.tracer import DetectedHistories, trace
+from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 NOTHING = "none"
@@ -48,13 +48,17 @@ OF_PIXEL: dict[str, tuple[float, float, set[str]]] = {
     FAR_FACE: (0.05, 0.3, {"ground_top", "top_roughness"}),
     "surface_absorption": (0.002, 0.02, {"surface_absorption"}),
     ZERO: (0.5, 1.0, {"wrong:source_z_mm"}),
-    MISLABELLED: (0.0, 0.0, {"swapped"}),
+    MISLABELLED: (0.0, 0.0, set()),
 }
+#: Of these causes that change no bench.
+OF_READINGS = ("nonlinearity", ZERO, MISLABELLED)
 #: Photons of the tracer for a reading of the bar, an error of 0.5 % beside 5 %; and of the pixel,
 #: 0.2 % beside 0.7 %.
 PHOTONS_OF_BAR, PHOTONS_OF_PIXEL = 60_000, 250_000
-#: Scattering coefficient, 1/cm, with which the plain pixel is traced.
+#: Scattering coefficient, 1/cm, with which the pixel is traced; others are reweighted.
 REFERENCE = 0.04
+#: Sizes of every cause in the pixel: campaigns of one have the light of the same photons.
+SIZES = 2
 #: Pulse height of the first reading of the pixel, V.
 FIRST_V = 0.45
 
@@ -91,39 +95,44 @@ def bar_readings(cause: str, size: float, seed: int) -> str:
 
 
 @functools.cache
-def plain_histories(without: str, place: float) -> DetectedHistories:
-    """Of light that the plain pixel detects, for all campaigns in which its bench is as it is."""
-    scene = mcrim.read_campaign(PIXEL / "lso_pixel.toml").scene.with_overrides(
+def pixel_bench(cause: str, size: float) -> SceneFile:
+    """The pixel's scene with what is hidden in it, where that is in the scene."""
+    scene = mcrim.read_campaign(PIXEL / "lso_pixel.toml").scene
+    if cause == FAR_FACE:
+        scene = scene.edited(add("ground_top", scene)).with_overrides({"ground_top_alpha": 0.3})
+        return with_cause(scene, "ground_loss", size)
+    return scene if cause == NOTHING else with_cause(scene, cause, size)
+
+
+@functools.cache
+def histories_of(cause: str, size: float, without: str, place: float) -> tuple[np.ndarray, ...]:
+    """Scatterings and paths of the light that a pixel detects, traced without absorption."""
+    scene = pixel_bench(cause, size).with_overrides(
         {"ptfe_without": without, "source_z_mm": place, ALPHA_SCAT: REFERENCE, ALPHA_ABS: 0.0}
     )
-    seed = zlib.crc32(f"{without} {place}".encode())
-    histories = trace(scene, PHOTONS_OF_PIXEL, seed, histories=True).histories
-    assert histories is not None
-    return histories
+    seed = zlib.crc32(f"{cause} {size} {without} {place}".encode())
+    light = trace(scene, PHOTONS_OF_PIXEL, seed, histories=True).histories
+    assert light is not None
+    columns = light.scatterings, light.scattering_path_cm, light.path_cm
+    return tuple(column.astype(np.float32) for column in columns)
 
 
-def reweighted(histories: DetectedHistories, scattering: float, absorption: float) -> float:
-    """Efficiency with other coefficients, 1/cm, of light traced with `REFERENCE` and no loss."""
-    weights = (scattering / REFERENCE) ** histories.scatterings
-    weights *= np.exp(-(scattering - REFERENCE) * histories.scattering_path_cm)
-    return float((weights * np.exp(-absorption * histories.path_cm)).sum() / PHOTONS_OF_PIXEL)
+def pixel_eta(
+    bench: tuple[str, float], without: str, place: float, scat: float, loss: float
+) -> float:
+    """Efficiency of a bench with other coefficients, 1/cm, than it was traced with."""
+    scatterings, scattering_path, path = histories_of(*bench, without, place)
+    weights = (scat / REFERENCE) ** scatterings * np.exp(-(scat - REFERENCE) * scattering_path)
+    return float((weights * np.exp(-loss * path)).sum(dtype=float)) / PHOTONS_OF_PIXEL
 
 
 def pixel_readings(cause: str, size: float, seed: int) -> str:
     """The pixel's readings by the independent tracer, with its errors, as a measurement file."""
     rng = np.random.default_rng(seed)
-    campaign = mcrim.read_campaign(PIXEL / "lso_pixel.toml")
-    scene, readings = campaign.scene, campaign.measurements.readings
-    if cause == FAR_FACE:
-        scene = scene.edited(add("ground_top", scene)).with_overrides({"ground_top_alpha": 0.3})
-        scene = with_cause(scene, "ground_loss", size)
-    elif cause in catalogue() and catalogue()[cause].reading is None:
-        scene = with_cause(scene, cause, size)
-    values = {
-        ALPHA_SCAT: rng.uniform(0.01, 0.08),
-        ALPHA_ABS: rng.uniform(0.005, 0.04),
-    }
-    shift = size * rng.choice((-1.0, 1.0)) if cause == ZERO else 0.0
+    readings = mcrim.read_campaign(PIXEL / "lso_pixel.toml").measurements.readings
+    scat, loss = rng.uniform(0.01, 0.08), rng.uniform(0.005, 0.04)
+    shift = size if cause == ZERO else 0.0
+    bench = (NOTHING, 0.0) if cause in OF_READINGS else (cause, size)
     bend = size if cause == "nonlinearity" else 0.0
     names = list(dict.fromkeys(reading.group for reading in readings))
     label_of = {name: name for name in names}
@@ -131,19 +140,12 @@ def pixel_readings(cause: str, size: float, seed: int) -> str:
         first, second = rng.permutation(len(names))[:2]
         label_of |= {names[first]: names[second], names[second]: names[first]}
     of_group = {name: 1.0 + 0.05 * rng.standard_normal() for name in names}
-    etas: dict[tuple, float] = {}
 
     def eta_of(reading: Reading) -> float:
-        # rows of the other treatment at this depth: what was done is what another label says
+        # what was done to its crystal is what another label says
         done = next(r for r in readings if r.group == label_of[reading.group])
         place = float(reading.parameters["source_z_mm"]) + shift
-        key = done.parameters.get("ptfe_without", "none"), place
-        if key not in etas and scene is campaign.scene and not shift:
-            etas[key] = reweighted(plain_histories(*key), values[ALPHA_SCAT], values[ALPHA_ABS])
-        elif key not in etas:
-            bench = scene.with_overrides({**values, "ptfe_without": key[0], "source_z_mm": place})
-            etas[key] = trace(bench, PHOTONS_OF_PIXEL, seed + len(etas)).eta
-        return etas[key]
+        return pixel_eta(bench, str(done.parameters.get("ptfe_without", "none")), place, scat, loss)
 
     height = FIRST_V / (1.0 - FIRST_V * bend) / eta_of(readings[0])
     lines = [",".join(x) for x in table_of(PIXEL / "lso_pixel.csv")[:1]]
@@ -185,7 +187,7 @@ def is_named(row: Mapping[str, Any], accepted: set[str]) -> bool:
     if row["cause"] == NOTHING:
         return row["verdict"] == "adequate"
     if row["cause"] == MISLABELLED:
-        return any("exchanged" in words for words in row["suspects"])
+        return any("swapped labels" in words for words in row["suspects"])
     return False
 
 
@@ -199,13 +201,20 @@ def main() -> None:
     of_bar = options.bench == "gagg"
     source, hidden = (GAGG, OF_BAR) if of_bar else (PIXEL, OF_PIXEL)
     rows: list[dict[str, Any]] = []
-    rng = np.random.default_rng(45)
+    rng, sizes = np.random.default_rng(45), list[float]()
     with tempfile.TemporaryDirectory() as temporary:
         kept = options.results or Path(temporary)
         kept.mkdir(parents=True, exist_ok=True)
         for number in range(options.campaigns):
             cause, (low, high, _) = list(hidden.items())[number % len(hidden)]
-            size = rng.uniform(low, high)
+            again = sizes[number % len(hidden) :: len(hidden)]
+            if of_bar or len(again) < SIZES:
+                sizes.append(rng.uniform(low, high))
+            else:
+                sizes.append(again[len(again) % SIZES])
+            # either way
+            sign = -1.0 if cause == ZERO and number // len(hidden) % 2 else 1.0
+            size = sign * sizes[-1]
             readings, result = kept / f"{number}.csv", kept / f"{number}.json"
             if not readings.exists():
                 text = (bar_readings if of_bar else pixel_readings)(

@@ -14,6 +14,7 @@ from scipy import stats
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects, measurements_text
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.inference.drivers import find_minima
 from mcrim_mitsuba.inference.fit import fit_model, result_of
 from mcrim_mitsuba.inference.repair import mended_scene, scene_text
@@ -147,6 +148,33 @@ def test_columns_take_a_wrapping_off(read):
             assert abs(first.eta - plain.eta) < 5 * np.hypot(first.eta_sigma, plain.eta_sigma)
     message = refusal(read, text, rows.replace("0,1.46", "0.5,1.46"))
     assert "neither 0 nor 1" in message
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_columns_take_a_sheet_off(read, tmp_path, apart):
+    """Paper over the crystal, which wears a bsdf of its own or one by its id; nothing else."""
+    plain = read_scene(SCENES / "lyso_sipm.xml")
+    text = add("top_reflector", plain).replace('id="top_reflector"', 'id="paper"')
+    if apart:
+        start = text.index("<bsdf", text.index('id="paper"'))
+        end = text.index("</bsdf>", start) + len("</bsdf>")
+        white = text[start:end].replace("<bsdf", '<bsdf id="white"')
+        text = text[:start] + '<ref id="white"/>' + text[end:]
+        text = text.replace("  <!-- A white reflector exactly", f"  {white}\n  <!-- A white")
+    (tmp_path / "bench.xml").write_text(text)
+    campaign = "scene = 'bench.xml'\nmeasurements = 'rows.csv'\n[parameters.alpha_abs_per_cm]\n"
+    campaign += "start = 0.03\nfixed = true\n[parameters.alpha_scat_per_cm]\nstart = 0.05\n"
+    rows = "label,signal,sigma,paper\nwith it,1.2,0.1,1\nbare,1,0.1,0\n"
+    scene, (first, second) = (c := read(campaign, rows)).scene, c.measurements.readings
+    for row, bench in ((first, read_scene(tmp_path / "bench.xml")), (second, plain)):
+        etas = [
+            simulate(each, photons=5_000, seed=3).eta
+            for each in (scene.with_overrides(row.parameters), bench)
+        ]
+        assert etas[0] == etas[1]
+    for name in ("crystal_top", "detector", "papers"):
+        message = refusal(read, campaign, rows.replace("paper", name))
+        assert f"column {name}: neither a column" in message and "\n" not in message
 
 
 def test_a_switch_masks_what_only_weighs_or_reads(read):
