@@ -52,13 +52,13 @@ OF_PIXEL: dict[str, tuple[float, float, set[str]]] = {
 }
 #: Of these causes that change no bench.
 OF_READINGS = ("nonlinearity", ZERO, MISLABELLED)
+#: And those that cost no light of their own.
+OF_DETECTOR = ("nonlinearity", MISLABELLED)
 #: Photons of the tracer for a reading of the bar, an error of 0.5 % beside 5 %; and of the pixel,
 #: 0.2 % beside 0.7 %.
 PHOTONS_OF_BAR, PHOTONS_OF_PIXEL = 60_000, 250_000
-#: Scattering coefficient, 1/cm, with which the pixel is traced; others are reweighted.
-REFERENCE = 0.04
-#: Sizes of every cause in the pixel: campaigns of one have the light of the same photons.
-SIZES = 2
+#: Scattering and absorption, 1/cm, with which the pixel is traced; others are reweighted.
+REFERENCE = 0.04, 0.005
 #: Pulse height of the first reading of the pixel, V.
 FIRST_V = 0.45
 
@@ -105,32 +105,39 @@ def pixel_bench(cause: str, size: float) -> SceneFile:
 
 
 @functools.cache
-def histories_of(cause: str, size: float, without: str, place: float) -> tuple[np.ndarray, ...]:
-    """Scatterings and paths of the light that a pixel detects, traced without absorption."""
-    scene = pixel_bench(cause, size).with_overrides(
-        {"ptfe_without": without, "source_z_mm": place, ALPHA_SCAT: REFERENCE, ALPHA_ABS: 0.0}
-    )
-    seed = zlib.crc32(f"{cause} {size} {without} {place}".encode())
-    light = trace(scene, PHOTONS_OF_PIXEL, seed, histories=True).histories
-    assert light is not None
-    columns = light.scatterings, light.scattering_path_cm, light.path_cm
-    return tuple(column.astype(np.float32) for column in columns)
+def histories_of(
+    cause: str, size: float, without: str, place: float, kept: Path
+) -> tuple[np.ndarray, ...]:
+    """Scatterings and paths of the light that a pixel detects, kept in a folder."""
+    name = f"{cause} {size} {without} {place}"
+    file = kept / f"{name}.npz".replace(" ", "_")
+    if not file.exists():
+        values = {"ptfe_without": without, "source_z_mm": place}
+        values |= {ALPHA_SCAT: REFERENCE[0], ALPHA_ABS: REFERENCE[1]}
+        scene = pixel_bench(cause, size).with_overrides(values)
+        seed = zlib.crc32(name.encode())
+        light = trace(scene, PHOTONS_OF_PIXEL, seed, histories=True).histories
+        assert light is not None
+        columns = light.scatterings, light.scattering_path_cm, light.path_cm
+        np.savez(file, *(column.astype(np.float32) for column in columns))
+    with np.load(file) as arrays:
+        return tuple(arrays.values())
 
 
-def pixel_eta(
-    bench: tuple[str, float], without: str, place: float, scat: float, loss: float
-) -> float:
-    """Efficiency of a bench with other coefficients, 1/cm, than it was traced with."""
-    scatterings, scattering_path, path = histories_of(*bench, without, place)
-    weights = (scat / REFERENCE) ** scatterings * np.exp(-(scat - REFERENCE) * scattering_path)
-    return float((weights * np.exp(-loss * path)).sum(dtype=float)) / PHOTONS_OF_PIXEL
+def pixel_eta(light: tuple[np.ndarray, ...], coefficients: tuple[float, float]) -> float:
+    """Efficiency with other coefficients, 1/cm, than light was traced with."""
+    scatterings, scattering_path, path = light
+    (scat, loss), (from_scat, from_loss) = coefficients, REFERENCE
+    weights = (scat / from_scat) ** scatterings
+    weights *= np.exp(-(scat - from_scat) * scattering_path - (loss - from_loss) * path)
+    return float(weights.sum(dtype=float)) / PHOTONS_OF_PIXEL
 
 
-def pixel_readings(cause: str, size: float, seed: int) -> str:
+def pixel_readings(cause: str, size: float, seed: int, kept: Path) -> str:
     """The pixel's readings by the independent tracer, with its errors, as a measurement file."""
     rng = np.random.default_rng(seed)
     readings = mcrim.read_campaign(PIXEL / "lso_pixel.toml").measurements.readings
-    scat, loss = rng.uniform(0.01, 0.08), rng.uniform(0.005, 0.04)
+    coefficients = rng.uniform(0.01, 0.08), rng.uniform(0.005, 0.04)
     shift = size if cause == ZERO else 0.0
     bench = (NOTHING, 0.0) if cause in OF_READINGS else (cause, size)
     bend = size if cause == "nonlinearity" else 0.0
@@ -145,7 +152,8 @@ def pixel_readings(cause: str, size: float, seed: int) -> str:
         # what was done to its crystal is what another label says
         done = next(r for r in readings if r.group == label_of[reading.group])
         place = float(reading.parameters["source_z_mm"]) + shift
-        return pixel_eta(bench, str(done.parameters.get("ptfe_without", "none")), place, scat, loss)
+        without = str(done.parameters.get("ptfe_without", "none"))
+        return pixel_eta(histories_of(*bench, without, place, kept), coefficients)
 
     height = FIRST_V / (1.0 - FIRST_V * bend) / eta_of(readings[0])
     lines = [",".join(x) for x in table_of(PIXEL / "lso_pixel.csv")[:1]]
@@ -207,18 +215,20 @@ def main() -> None:
         kept.mkdir(parents=True, exist_ok=True)
         for number in range(options.campaigns):
             cause, (low, high, _) = list(hidden.items())[number % len(hidden)]
-            again = sizes[number % len(hidden) :: len(hidden)]
-            if of_bar or len(again) < SIZES:
-                sizes.append(rng.uniform(low, high))
-            else:
-                sizes.append(again[len(again) % SIZES])
-            # either way
-            sign = -1.0 if cause == ZERO and number // len(hidden) % 2 else 1.0
-            size = sign * sizes[-1]
+            # campaigns whose bench has a cause share the light of two sizes, of a shift either way
+            two = 2 * len(hidden)
+            again = not of_bar and cause not in OF_DETECTOR and number >= two
+            sizes.append(sizes[number % two] if again else rng.uniform(low, high))
+            if cause == ZERO and len(hidden) <= number < two:
+                sizes[-1] = -sizes[-1]
+            size = sizes[-1]
             readings, result = kept / f"{number}.csv", kept / f"{number}.json"
             if not readings.exists():
-                text = (bar_readings if of_bar else pixel_readings)(
-                    cause, size, 1000 * (number + 1)
+                seed = 1000 * (number + 1)
+                text = (
+                    bar_readings(cause, size, seed)
+                    if of_bar
+                    else pixel_readings(cause, size, seed, kept)
                 )
                 readings.write_text(text)
             if not result.exists():
