@@ -123,8 +123,11 @@ class SectionAxes:
             face = surface.seen
             kind = interfaces[trace.surface].kind
             text, percent = kind, 100 * face.reflectance
+            if kind == "diffuse reflector" and percent == 0:
+                text = "black"
             if percent > 0:
-                text = f"{face.name}: {kind}, {percent:.3g} %"
+                words = "mirror" if face.mirror_part == 1.0 else kind
+                text = f"{face.name}: {words}, {percent:.3g} %"
                 # paint lies outside of the face that wears it
                 back = -trace.back if surface.painted else trace.back
                 far = trace.points[::-1] + band * back

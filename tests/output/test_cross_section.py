@@ -169,6 +169,15 @@ def test_everything_is_named_to_scale_and_nothing_overlaps(case, load):
     assert all(f"{name}=" in figure.texts[1].get_text() for name in simulation.file.parameters)
 
 
+def test_what_mirrors_and_what_is_black_is_called_so(load):
+    """Both were diffuse reflectors, of 98 % and of no percentage."""
+    simulation, faces, _ = load("gagg/gagg.xml")
+    figure = cross_section_figure(simulation, faces)
+    said = [text.get_text() for ax in figure.axes for text in ax.texts]
+    assert "foil: mirror, 98 %" in said and "black" in said
+    assert not any("diffuse" in text for text in said)
+
+
 def test_detail_shows_the_gap_at_the_crystals_lower_edge(load):
     simulation, faces, _ = load("camoo4")
     main, detail = cross_section_figure(simulation, faces).axes
