@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.scene.check_text import Interface
     from mcrim_mitsuba.scene.scene_file import SceneFile
     from mcrim_mitsuba.transport.collection import Trail
+    from mcrim_mitsuba.transport.scene_model import Surface
     from mcrim_mitsuba.transport.simulation import Simulation
 
 
@@ -122,12 +123,7 @@ class SectionAxes:
             surface = self.model.surfaces[trace.surface]
             face = surface.seen
             kind = interfaces[trace.surface].kind
-            text, percent = kind, 100 * face.reflectance
-            if kind == "diffuse reflector" and percent == 0:
-                text = "black"
-            if percent > 0:
-                words = "mirror" if face.mirror_part == 1.0 else kind
-                text = f"{face.name}: {words}, {percent:.3g} %"
+            if face.reflectance > 0.0:
                 # paint lies outside of the face that wears it
                 back = -trace.back if surface.painted else trace.back
                 far = trace.points[::-1] + band * back
@@ -135,7 +131,7 @@ class SectionAxes:
                 self.ax.fill(*outline.T, fc="white", ec=INK, hatch="/" * 6, lw=0)
                 self.line(far, "none", 0.0)
             if kind != "dielectric":
-                self.named.setdefault(text, []).append(trace.points)
+                self.named.setdefault(face_words(face, kind), []).append(trace.points)
             self.line(trace.points, *styles.get(kind, (_OTHER, 3.0)))
         for trace in masked(self.model, self.cut):
             radius = self.model.surfaces[trace.surface].aperture_radius_mm
@@ -281,6 +277,14 @@ class SectionAxes:
         self.line(link, INK, 0.8)
         self.ax.plot(*link[1], "o", color=INK, markersize=4, markeredgecolor="white")
         self._take_around(end, _PLACING.around_end)
+
+
+def face_words(face: Surface, kind: str) -> str:
+    """What a cut face is called: ``foil: mirror, 98 %``, ``black``, ``detector``."""
+    if face.reflectance > 0.0:
+        words = "mirror" if face.mirror_part == 1.0 else kind
+        return f"{face.name}: {words}, {100.0 * face.reflectance:.3g} %"
+    return "black" if kind == "diffuse reflector" else kind
 
 
 def _count_in_rectangles(cells: np.ndarray, wide: int, tall: int) -> np.ndarray:

@@ -58,9 +58,9 @@ def in_geant4(faces: tuple[str, ...], model: str, photons: int) -> float:
 def work(faces: list[str], model: str, photons: int) -> None:
     """Trace, and print how many are detected.
 
-    Facets are `MIRRORS`; or, without constants of lobes, Geant4 sends what they reflect, totally
-    too, by `LAMBERT`'s law; or all is as `PUBLISHED`: no constants at bottom and sides, where those
-    of whatever surface a photon met before stay in force, the foil's or the black wall's.
+    Facets are `MIRRORS`; or, where all constants of lobes are 0, Geant4 sends what they reflect,
+    totally too, by `LAMBERT`'s law; or all is as `PUBLISHED`: no constants at bottom and sides,
+    where those of the surface met last stay in force, the foil's or the black wall's.
     """
     import geant4_process as process
     import geant4_pybind as g4
@@ -106,7 +106,7 @@ def work(faces: list[str], model: str, photons: int) -> None:
             )
             self._border(of_foil, *((each, foil) for each in (crystal, placed.get("film")) if each))
             beyond = {"top": placed.get("film"), "side": world, "bottom": glass}
-            table = mirrors if model == MIRRORS else None
+            table = {MIRRORS: mirrors, LAMBERT: dict.fromkeys(mirrors, 0.0)}.get(model)
             for face in faces:
                 if beyond[face] is not None:
                     surface = self._surface(face, True, g4.dielectric_dielectric, table)
