@@ -8,6 +8,9 @@ import time
 import pytest
 from app_page import KEYS, LONGEST_SIMULATION_S, running
 
+from mcrim_mitsuba.app.bench_picture import bench_words
+from mcrim_mitsuba.campaign.measurements import Reading
+
 MANY_PHOTONS = 2_097_152
 
 
@@ -21,6 +24,16 @@ def campaign(scenes, tmp_path):
     path = tmp_path / "bench.toml"
     path.write_text(text.replace("camoo4_misfit.csv", "four.csv"))
     return path
+
+
+def test_a_reading_tells_its_treatment_and_line():
+    row = Reading("bare", 1.0, 0.1, {"source_z_mm": 5.0}, without=("top", "sides"), energy_keV=511)
+    assert bench_words(row, {"gap_mm": 0.05}, ("source_z_mm",)) == [
+        ("without", "top, sides"),
+        ("line", "511 keV"),
+        ("source z", "5 mm"),
+        ("gap", "0.05 mm"),
+    ]
 
 
 def test_jobs_wait_and_stop(browser, campaign, scenes):
