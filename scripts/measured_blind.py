@@ -215,11 +215,11 @@ def main() -> None:
         kept.mkdir(parents=True, exist_ok=True)
         for number in range(options.campaigns):
             cause, (low, high, _) = list(hidden.items())[number % len(hidden)]
-            # campaigns whose bench has a cause share the light of two sizes, of a shift either way
-            two = 2 * len(hidden)
-            again = not of_bar and cause not in OF_DETECTOR and number >= two
-            sizes.append(sizes[number % two] if again else rng.uniform(low, high))
-            if cause == ZERO and len(hidden) <= number < two:
+            # campaigns whose bench has a cause are of two sizes, of a shift either way; from the
+            # second on they share its light
+            again = not of_bar and cause not in OF_DETECTOR and number >= 2 * len(hidden)
+            sizes.append(sizes[number - len(hidden)] if again else rng.uniform(low, high))
+            if cause == ZERO and number // len(hidden) == 1:
                 sizes[-1] = -sizes[-1]
             size = sizes[-1]
             readings, result = kept / f"{number}.csv", kept / f"{number}.json"

@@ -175,8 +175,10 @@ def of_bars(photons: int) -> None:
     parts = {"near third": slice(0, 5), "middle third": slice(4, 9), "far third": slice(8, 13)}
     for name, part in parts.items():
         slope = np.polyfit(places[part] / TENTH, light[part], 1)[0]
-        theirs = "225 cm" if name == "middle third" else "75 and 485 cm in sum"
-        row(f"plastic, 252 cm, {name}; here 380 cm", theirs, f"{-0.1 / slope:.0f} cm", "")
+        middle, ours = name == "middle third", -0.1 / slope
+        theirs = "225 cm" if middle else "75 and 485 cm in sum"
+        difference = f"{ours - 225:+.0f} cm" if middle else ""
+        row(f"plastic, 252 cm, {name}; here 380 cm", theirs, f"{ours:.0f} cm", difference)
 
 
 def lengths(photons: int | None) -> None:
