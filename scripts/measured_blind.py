@@ -189,13 +189,20 @@ def judged(path: Path, photons: int | None) -> dict[str, Any]:
 
 
 def is_named(row: Mapping[str, Any], accepted: set[str]) -> bool:
-    """Whether what was hidden leads, is among what leads, or is a number that the fit moved."""
+    """Whether what was hidden leads, or is among what leads.
+
+    What is within the campaign's tolerances, as depth's zero, is no cause but an offset: it is to
+    come back within two of its errors.
+    """
     if accepted & {*row["leading"]}:
         return True
     if row["cause"] == NOTHING:
         return row["verdict"] == "adequate"
     if row["cause"] == MISLABELLED:
         return any("swapped labels" in words for words in row["suspects"])
+    if row["cause"] == ZERO and row["verdict"] == "adequate":
+        offset, sigma = row["zero"]
+        return abs(offset - row["size"]) < 2.0 * sigma
     return False
 
 
