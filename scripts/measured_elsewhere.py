@@ -1,11 +1,11 @@
 """Tables of docs/measured_elsewhere.md: what others measured, and what the package says of it.
 
-    python scripts/measured_elsewhere.py fractions | finishes | pixel | blind | draw [--photons N]
+    python scripts/measured_elsewhere.py fractions | finishes | pixel | draw [--photons N]
 
 prints tables of Markdown. `fractions`: where light ends in a published Geant4 study, beside ours in
 the same geometry. `finishes`: the GAGG bar in several geometries and with several errors. `pixel`:
-the LSO pixel, step by step, with and without its second line. `blind`: the GAGG bar, traced by the
-independent tracer with something hidden. `draw` draws the page's picture.
+the LSO pixel, step by step, with and without its second line. `draw` draws the page's picture.
+`measured_blind.py` beside it hides causes in both.
 """
 
 from __future__ import annotations
@@ -18,16 +18,14 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-import numpy as np
 import tomlkit
 from matplotlib.figure import Figure
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.effects.catalogue import add, catalogue
+from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.output.figure_style import DARK, WARM
-from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
@@ -271,71 +269,13 @@ def pixel(photons: int | None) -> None:
             print(f"| {title} | {', '.join(effects) or 'none'} | {' | '.join(cells)} |", flush=True)
 
 
-#: What is hidden in the GAGG bar: the effect, its sizes, and what may stand for it.
-HIDDEN = {
-    "ground_loss": (0.05, 0.3, {"ground_loss"}),
-    "wrap_contact": (0.05, 0.4, {"wrap_contact"}),
-    "surface_absorption": (0.005, 0.03, {"surface_absorption"}),
-    "detector_reflection": (0.1, 0.4, {"detector_reflection", "detector_specular"}),
-    "none": (0.0, 0.0, {"none"}),
-}
-#: Photons of the tracer for a reading: an error of 0.5 % beside 5 %.
-TRACED = 60_000
-
-
-def traced_readings(cause: str, size: float, seed: int) -> str:
-    """The six readings by the independent tracer, with 5 % errors, as a measurement file."""
-    rng = np.random.default_rng(seed)
-    alpha, etas = rng.uniform(0.2, 0.8), []
-    values = {"alpha_scat_per_cm": rng.uniform(0.01, 0.08), "alpha_abs_per_cm": 0.0155}
-    for number, faces in enumerate(FINISHES.values()):
-        scene = read_scene(GAGG / "gagg.xml")
-        for face in faces:
-            scene = scene.edited(add(f"ground_{face}", scene))
-        # where no face is ground nothing of it is lost
-        acts = cause != "none" and catalogue()[cause].acts_in(scene)
-        sizes = {f"ground_{face}_alpha": alpha for face in faces}
-        if acts:
-            scene = scene.edited(add(cause, scene))
-            (parameter,) = catalogue()[cause].parameters
-            sizes[parameter.name] = size
-        etas.append(trace(scene.with_overrides({**values, **sizes}), TRACED, seed + number).eta)
-    header, *rows = (GAGG / "gagg.csv").read_text().splitlines()[-7:]
-    lines = [header]
-    for row, eta in zip(rows, etas, strict=True):
-        cells = row.split(",")
-        signal = eta / etas[0] * (1.0 + 0.05 * rng.standard_normal())
-        lines.append(",".join([cells[0], f"{signal:.4f}", f"{0.05 * signal:.4f}", *cells[3:]]))
-    return "\n".join(lines) + "\n"
-
-
-def blind(photons: int | None) -> None:
-    """Campaigns of the tracer, and whether what is hidden leads."""
-    rng = np.random.default_rng(45)
-    print(
-        "| hidden | size | verdict | chi2 as it is | leading | found |\n|---|---|---|---|---|---|"
-    )
-    for number in range(30):
-        cause, (low, high, accepted) = list(HIDDEN.items())[number % len(HIDDEN)]
-        size = rng.uniform(low, high)
-        with tempfile.TemporaryDirectory() as folder:
-            csv = traced_readings(cause, size, 1000 * (number + 1))
-            path = campaign_in(Path(folder), GAGG, {}, csv=csv)
-            diagnosis = mcrim.diagnose(path, photons=photons)
-        leading = {name for names in diagnosis.leading_sets for name in names}
-        adequate = diagnosis.verdict == "adequate"
-        found = bool(accepted & leading) or (adequate and cause == "none")
-        chi2 = f"{diagnosis.baseline.chi2:.1f} of {diagnosis.baseline.ndf}"
-        cells = cause, f"{size:.3g}", diagnosis.verdict, chi2, ", ".join(sorted(leading)[:6])
-        print(f"| {' | '.join(cells)} | {'yes' if found else 'no'} |", flush=True)
-
-
 def draw(photons: int | None) -> None:
     """The picture: measured, first prediction, mended."""
     figure = Figure(figsize=(12.5, 5.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
     fit = mcrim.compare(GAGG / "gagg.toml", photons=photons)
-    before = prediction(GAGG / "gagg.toml", photons)
+    with tempfile.TemporaryDirectory() as folder:
+        before = prediction(campaign_in(Path(folder), GAGG, {}), photons)
     places = range(len(fit.rows))
     measured, errors = ([getattr(row, n) for row in fit.rows] for n in ("measured", "sigma"))
     left.errorbar(places, measured, errors, fmt="o", color="black", capsize=3, label="measured")
@@ -393,7 +333,7 @@ def draw(photons: int | None) -> None:
     figure.savefig(SCENES.parent / "docs" / "measured_elsewhere.png", dpi=130)
 
 
-OTHERS = {"finishes": finishes, "pixel": pixel, "blind": blind, "draw": draw}
+OTHERS = {"finishes": finishes, "pixel": pixel, "draw": draw}
 
 
 def main() -> None:

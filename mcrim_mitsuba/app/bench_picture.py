@@ -85,7 +85,11 @@ def bench_words(
     names = [n for n in columns if n in reading.parameters]
     if not reading.of_beam:
         names += [n for n in _ALWAYS if n in values and n not in names]
-    return [("sample", reading.sample)] * bool(reading.sample) + [
+    of_row = [("sample", reading.sample)] * bool(reading.sample)
+    of_row += [("without", ", ".join(reading.without))] * bool(reading.without)
+    if reading.energy_keV is not None:
+        of_row.append(("line", f"{reading.energy_keV:g} keV"))
+    return of_row + [
         (without_unit(n), _text(n, reading.parameters.get(n, values.get(n)), values)) for n in names
     ]
 

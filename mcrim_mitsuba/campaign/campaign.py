@@ -302,7 +302,7 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         for parameter in effect.parameters
         if parameter.nominal is None
     }
-    light = [row.signal for row in measurements.readings if not row.of_beam]
+    light = [row.signal for row in measurements.in_use if not row.of_beam]
     effects = {name: effect.beside(np.array(light)) for name, effect in effects.items()}
     tolerances = read_tolerances(document, scene, measurements, sizes)
     wrong = wrong_numbers(tolerances)

@@ -82,7 +82,7 @@ class Reading:
     sample: str = ""
     #: Energy that was deposited; None where the file does not say it: that of all others.
     energy_keV: float | None = None
-    #: Effects, wrappings and faces of them that are switched off in this row.
+    #: Effects, wrappings, faces of them and sheets that are switched off in this row.
     without: tuple[str, ...] = ()
 
     @property
@@ -103,7 +103,7 @@ class Measurements:
     columns: tuple[str, ...]
     #: All of them, those that are not used included.
     readings: tuple[Reading, ...]
-    #: Effects, wrappings and their faces that a column switches, in the file's order.
+    #: Effects, wrappings, their faces and sheets that a column switches, in the file's order.
     switches: tuple[str, ...] = ()
 
     @property

@@ -4,7 +4,8 @@ A column of the measurements that is named after an effect says with 0 and 1 whi
 effect that the campaign switches on besides is put into the scene at the size that its fit begins
 with, so that all else is simulated beside it, and rows without it have the value that takes it out.
 Its size is shared by its rows, and by other effects where a tie says so. A column may switch a
-part of the scene too: a wrapping, by its id, or one of its faces.
+part of the scene too: a wrapping, by its id, or one of its faces; or a sheet in air, such as black
+paper or a mirror, which is clear as air in rows that are without it.
 """
 
 from __future__ import annotations
@@ -29,6 +30,11 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.campaign import Campaign
 
 _PARAMETERS = "parameters"
+#: What a sheet wears that is not there: an interface of air and air.
+_CLEAR = (
+    '<bsdf type="dielectric" id="{}">\n  <float name="int_ior" value="1"/>\n'
+    '  <float name="ext_ior" value="1"/>\n</bsdf>\n'
+)
 
 
 def switchable(
@@ -36,7 +42,7 @@ def switchable(
 ) -> list[str]:
     """What a column may switch, parts and effects: not what is a number that rows may give."""
     fitted = {*document.table(_PARAMETERS), *map(str, document.content.get("effects", []))}
-    names = [*_parts_of(scene), *effects]
+    names = [*_parts_of(scene), *_sheets_of(scene), *effects]
     return [name for name in names if name not in scene.parameters or name in fitted]
 
 
@@ -52,6 +58,18 @@ def _parts_of(scene: SceneFile) -> dict[str, tuple[str, str]]:
     return parts
 
 
+def _sheets_of(scene: SceneFile) -> list[str]:
+    """Ids of surfaces that stand in air, and of which something can be left out."""
+    parts = scene.parts
+    sheets = [shape for shape in parts.shapes if parts.media(shape) == (None, None)]
+    return [
+        sheet.get("id", "")
+        for sheet in sheets
+        if sheet.get("id") and sheet.type != "wrapping" and parts.bsdf(sheet) is not None
+        if all(bsdf.type != "photodetector" for bsdf in parts.worn_by(sheet))
+    ]
+
+
 def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
     """The campaign with the effects in its scene that rows switch, or that share their sizes.
 
@@ -59,7 +77,7 @@ def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
     shares its size cannot be taken out of a scene.
     """
     _refuse_idle(campaign.measurements)
-    campaign = _with_bare_faces(campaign)
+    campaign = _with_clear_sheets(_with_bare_faces(campaign))
     ties = _read_ties(document, campaign)
     switches = campaign.measurements.switches
     if not ties and not switches:
@@ -140,6 +158,34 @@ def _with_bare_faces(campaign: Campaign) -> Campaign:
             words = dict.fromkeys(" ".join(bare).replace(",", " ").split())
             values[parameter] = " ".join(words) or "none"
         readings.append(replace(reading, parameters=values))
+    return replace(
+        campaign,
+        scene=campaign.scene.edited(editor.finished()),
+        measurements=replace(campaign.measurements, readings=tuple(readings)),
+    )
+
+
+def _with_clear_sheets(campaign: Campaign) -> Campaign:
+    """The campaign with what its sheets wear as parameters, which rows without them change."""
+    sheets = [n for n in campaign.measurements.switches if n in _sheets_of(campaign.scene)]
+    if not sheets:
+        return campaign
+    editor = SceneEditor(campaign.scene, {})
+    for shape in editor.shapes:
+        if (name := shape.get("id", "")) not in sheets:
+            continue
+        worn = next(e for e in shape.elements if getattr(editor.target(e), "tag", "") == "bsdf")
+        there, before = worn.get("id", f"{name}_there"), _CLEAR.format(f"{name}_clear")
+        if worn.tag == "bsdf":
+            text = editor.source(worn)
+            before += text if worn.get("id") else text.replace("<bsdf", f'<bsdf id="{there}"', 1)
+        editor.insert_after(editor.root.elements[editor.root.elements.index(shape) - 1], before)
+        editor.replace(worn, f'<ref id="${name}_surface"/>')
+        editor.declare(f"{name}_surface", there, f"What {name} wears: {name}_clear takes it off")
+    readings = []
+    for reading in campaign.measurements.readings:
+        off = {f"{name}_surface": f"{name}_clear" for name in sheets if name in reading.without}
+        readings.append(replace(reading, parameters={**reading.parameters, **off}))
     return replace(
         campaign,
         scene=campaign.scene.edited(editor.finished()),

@@ -125,7 +125,7 @@ def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
     diagnose = showing.command("diagnose", campaign)
     explained = [suspect for suspect in comparison.suspects if suspect.explains]
     if explained:
-        swapped = explained[0].kind == "swapped_rows"
+        swapped = explained[0].kind.startswith("swapped")
         mend = "swap them back" if swapped else "repeat it, or leave it out with use = 0"
         return (
             f"check {together(explained[0].labels)} in {measurements} ({mend}), then "

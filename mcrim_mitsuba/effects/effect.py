@@ -169,19 +169,25 @@ class EffectParameter:
         )
         return start, low, high
 
-    def plausible_among(
-        self, parameters: Mapping[str, Value], signals: np.ndarray
-    ) -> tuple[float, float]:
+    def plausible_in(self, parameters: Mapping[str, Value]) -> tuple[float, float]:
         """What a laboratory usually meets, as the scene's parameter takes it.
 
-        `parameters` are the scene's, where numbers are offsets from one of them, and `signals`,
-        (readings,) float64, those of the readings of light.
+        `parameters` are the scene's, where numbers are offsets from one of them.
         """
-        low, high = self.plausible
-        if self.plausible_beside is not None and len(signals):
-            low, high = self.plausible_beside(signals)
-        zero = self.origin(parameters)
+        zero, (low, high) = self.origin(parameters), self.plausible
         return zero + low, zero + high
+
+    def beside(self, signals: np.ndarray) -> EffectParameter:
+        """It with what is possible and plausible beside readings of light, (readings,) float64."""
+        bounds, usual = (self.minimum, self.maximum), self.plausible
+        if self.range_beside is not None:
+            bounds = self.range_beside(signals)
+        if self.plausible_beside is not None:
+            usual = self.plausible_beside(signals)
+        least, most, start = np.clip([*usual, self.start], *bounds).tolist()
+        return replace(
+            self, minimum=bounds[0], maximum=bounds[1], plausible=(least, most), start=start
+        )
 
     def comment(self) -> str:
         """The words beside its ``<default>``: meaning, unit, range."""
@@ -308,21 +314,14 @@ class Effect:
         return next(numbers, None)
 
     def beside(self, signals: np.ndarray) -> Effect:
-        """The effect with ranges in the unit of readings of light, (readings,) float64."""
-        if not len(signals) or all(p.range_beside is None for p in self.parameters):
+        """The effect beside readings of light that are in use, (readings,) float64.
+
+        What is possible and what is plausible of its parameters are then in their unit.
+        """
+        depends = any(p.range_beside or p.plausible_beside for p in self.parameters)
+        if not len(signals) or not depends:
             return self
-        parameters = []
-        for parameter in self.parameters:
-            if parameter.range_beside is not None:
-                low, high = parameter.range_beside(signals)
-                least, most, start = np.clip(
-                    [*parameter.plausible, parameter.start], low, high
-                ).tolist()
-                parameter = replace(
-                    parameter, minimum=low, maximum=high, plausible=(least, most), start=start
-                )
-            parameters.append(parameter)
-        return replace(self, parameters=tuple(parameters))
+        return replace(self, parameters=tuple(p.beside(signals) for p in self.parameters))
 
     @property
     def switched_off(self) -> dict[str, float] | None:

@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc, ndtr
 
+from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.inference.drivers import Minimum, newton
 from mcrim_mitsuba.inference.estimates import (
@@ -23,18 +27,46 @@ from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, SUSPICION
 from mcrim_mitsuba.inference.statistic import Weights, p_value
 
-#: Kinds of suspicion: one reading off, two signals exchanged.
+#: Kinds of suspicion: one reading off; the signals of two rows exchanged, or of two treatments.
 BAD_READING = "bad_reading"
 SWAPPED_ROWS = "swapped_rows"
+SWAPPED_TREATMENTS = "swapped_treatments"
+
+
+@dataclass(frozen=True)
+class WrongRows:
+    """Rows that may be wrong: their places among the readings in use."""
+
+    #: `BAD_READING`, `SWAPPED_ROWS` or `SWAPPED_TREATMENTS`.
+    kind: str
+    #: Labels of the rows; of treatments their names.
+    labels: tuple[str, ...]
+    rows: tuple[int, ...]
+    #: Rows that have, of each, the reading that it should have, and by what theirs is to be
+    #: multiplied; empty: nobody has it.
+    partners: tuple[int, ...] = ()
+    factors: tuple[float, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """As probabilities list it: ``bad reading gel``, ``swapped rows air and gel``."""
+        return f"{self.kind.replace('_', ' ')} {' and '.join(self.labels)}"
+
+    def exchange(self, readings: int) -> tuple[NDArray[np.int64], Array]:
+        """(readings,) which row has the reading that a row should have, and its factor."""
+        order, factors = np.arange(readings), np.ones(readings)
+        if self.partners:
+            order[list(self.rows)], factors[list(self.rows)] = self.partners, self.factors
+        return order, factors
 
 
 @dataclass(frozen=True)
 class Suspect:
     """Readings that may be wrong, rather than the model."""
 
-    #: `BAD_READING` or `SWAPPED_ROWS`.
+    #: `BAD_READING`, `SWAPPED_ROWS` or `SWAPPED_TREATMENTS`.
     kind: str
-    #: The reading, or the two.
+    #: The reading, or the two; of treatments their names.
     labels: tuple[str, ...]
     #: What chi2 falls by without the reading, or with the two exchanged.
     delta_chi2: float
@@ -53,6 +85,8 @@ class Suspect:
     def words(self) -> str:
         """``bad reading gel (+5.1 sigma)``, ``swapped air and gel``."""
         names = " and ".join(self.labels)
+        if self.kind == SWAPPED_TREATMENTS:
+            return f"swapped labels of {names}"
         if self.kind == SWAPPED_ROWS:
             return f"swapped {names}"
         by = "" if self.pull is None else f" ({self.pull:+.1f} sigma)"
@@ -147,9 +181,7 @@ def find_suspects(fit: Minimum) -> list[Suspect]:
     p, readings = fit.p_value, len(fit.statistic.signal)
     if p is None or p > ACCEPTABLE_P:
         return []
-    suspects = [
-        suspect for suspect in (*_bad_readings(fit), *_swapped_rows(fit)) if suspect.explains
-    ]
+    suspects = [suspect for suspect in (*_bad_readings(fit), *_swapped(fit)) if suspect.explains]
     suspects = [suspect for suspect in suspects if suspect.p_gain < ACCEPTABLE_P]
     suspects.sort(key=lambda suspect: suspect.score(readings))
     return [
@@ -171,29 +203,84 @@ def _bad_readings(fit: Minimum) -> list[Suspect]:
         gain = max(fit.chi2 - chi2, 0.0)
         # to first order the square of the pull is the gain
         pull = math.copysign(math.sqrt(gain), pulls[i])
-        suspects.append(suspected(fit, BAD_READING, [i], chi2, pull))
+        wrong = WrongRows(BAD_READING, (fit.statistic.labels[i],), (i,))
+        suspects.append(suspected(fit, wrong, chi2, pull))
     return suspects
 
 
-def _swapped_rows(fit: Minimum) -> list[Suspect]:
-    """Pairs of rows, with their signals and errors exchanged."""
+def _swapped(fit: Minimum) -> list[Suspect]:
+    """Pairs of rows, and treatments, with their signals and errors exchanged."""
     followed = []
-    for pair in likely_swaps(fit, 2 * SUSPICION.to_the_end):
-        order = np.arange(len(fit.statistic.signal))
-        order[list(pair)] = pair[::-1]
-        statistic = fit.statistic.against(fit.statistic.signal[order])
+    for wrong in (*likely_swaps(fit, 2 * SUSPICION.to_the_end), *swapped_treatments(fit)):
+        statistic = fit.statistic.exchanged(*wrong.exchange(len(fit.statistic.signal)))
         # signals move with their own errors, all else stays
-        errors = fit.weights.errors
-        weights = Weights(replace(errors, variance=errors.variance[order]))
+        weights = Weights(replace(fit.weights.errors, variance=statistic.variance))
         _, chi2, _ = newton(statistic, fit.theta, weights)
-        followed.append((chi2, pair))
-    return [
-        suspected(fit, SWAPPED_ROWS, pair, chi2)
-        for chi2, pair in sorted(followed)[: SUSPICION.to_the_end]
+        followed.append((chi2, wrong))
+    followed.sort(key=lambda item: (item[0], item[1].rows))
+    return [suspected(fit, wrong, chi2) for chi2, wrong in followed[: SUSPICION.to_the_end]]
+
+
+def swapped_treatments(fit: Minimum) -> list[WrongRows]:
+    """Pairs of treatments, of three rows or more, whose labels may have been exchanged.
+
+    A row then should have the reading of that of the other treatment which is nearest along the
+    column of most values, by the model carried to the row's own place; in all else they are alike.
+    Treatments that have rows without the like are left out.
+    """
+    model, treatments = fit.statistic.model, dict[tuple[str, ...], list[int]]()
+    readings = [reading for reading in model.readings if reading.use]
+    for row, reading in enumerate(readings):
+        if not reading.of_beam:
+            treatments.setdefault(reading.without, []).append(row)
+    several = [rows for rows in treatments.values() if len(rows) > 2]
+    if not 1 < len(several) <= SUSPICION.most_treatments:
+        return []
+    columns = {
+        name: [reading.parameters.get(name) for reading in readings]
+        for name in model.campaign.measurements.columns
+    }
+    numbers = [n for n, cells in columns.items() if all(isinstance(c, float) for c in cells)]
+    axis = max(numbers, key=lambda name: len(set(columns[name])), default=None)
+    place = np.zeros(len(readings)) if axis is None else np.array(columns[axis], float)
+    others = [cells for name, cells in columns.items() if name != axis]
+    alike = [
+        (reading.energy_keV, reading.sample, *(cells[row] for cells in others))
+        for row, reading in enumerate(readings)
     ]
+    log_signal = np.log(np.maximum(fit.signal[fit.statistic.used], 1e-300))
+
+    def from_other(row: int, own: Sequence[int], other: Sequence[int]) -> tuple[int, float] | None:
+        """The other treatment's row for one of a treatment's own, and the factor on its reading."""
+        can = [i for i in other if alike[i] == alike[row]]
+        if not can:
+            return None
+        partner = min(can, key=lambda i: abs(place[i] - place[row]))
+        line = sorted((i for i in own if alike[i] == alike[row]), key=lambda i: place[i])
+        there = np.interp(place[partner], place[line], log_signal[line])
+        return partner, math.exp(log_signal[row] - there)
+
+    pairs = []
+    for first, second in combinations(several, 2):
+        places = [from_other(row, first, second) for row in first]
+        places += [from_other(row, second, first) for row in second]
+        whole = [item for item in places if item is not None]
+        if len(whole) == len(places):
+            labels = tuple(_treatment_name(readings, rows) for rows in (first, second))
+            partners, factors = zip(*whole, strict=True)
+            rows = (*first, *second)
+            pairs.append(WrongRows(SWAPPED_TREATMENTS, labels, rows, partners, factors))
+    return pairs
 
 
-def likely_swaps(fit: Minimum, most: int) -> list[tuple[int, int]]:
+def _treatment_name(readings: Sequence[Reading], rows: Sequence[int]) -> str:
+    """What a treatment is called: the mounting that it alone is of, or its first row."""
+    first = readings[rows[0]]
+    of_mounting = [row for row, reading in enumerate(readings) if reading.group == first.group]
+    return first.group if first.group and of_mounting == rows else first.label
+
+
+def likely_swaps(fit: Minimum, most: int) -> list[WrongRows]:
     """Pairs of rows whose exchange, with that of their own errors, lowers chi2 most.
 
     To first order around the fit: with residuals that move by d, and P of `Minimum.precision`, chi2
@@ -216,25 +303,26 @@ def likely_swaps(fit: Minimum, most: int) -> list[tuple[int, int]]:
     heights = rise - fall / (one * other + (added * precision) ** 2)
     rows, columns = np.triu_indices(len(signal), 1)
     lowest = np.argsort(heights[rows, columns], kind="stable")[:most]
-    return list(zip(rows[lowest].tolist(), columns[lowest].tolist(), strict=True))
+    labels, pairs = fit.statistic.labels, np.transpose([rows[lowest], columns[lowest]]).tolist()
+    return [
+        WrongRows(SWAPPED_ROWS, (labels[i], labels[j]), (i, j), (j, i), (1.0, 1.0))
+        for i, j in pairs
+    ]
 
 
-def suspected(
-    fit: Minimum, kind: str, places: Sequence[int], chi2: float, pull: float | None = None
-) -> Suspect:
+def suspected(fit: Minimum, wrong: WrongRows, chi2: float, pull: float | None = None) -> Suspect:
     """A suspicion that leaves a chi2 of a fit's."""
-    unknowns, ways = _unknowns_and_ways(kind, len(fit.statistic.signal), len(places))
+    unknowns, ways = _unknowns_and_ways(wrong.kind, len(fit.statistic.signal), len(wrong.labels))
     gain = fit.chi2 - chi2
-    if kind == SWAPPED_ROWS:
-        first, second = places
-        p = _chance(fit, first, second, gain)
+    if wrong.partners:
+        p = _chance(fit, wrong, gain)
     else:
         p = float(chdtrc(unknowns, max(gain, 0.0)))
     ndf = fit.ndf - unknowns
     left = p_value(chi2, ndf)
     return Suspect(
-        kind=kind,
-        labels=tuple(fit.statistic.labels[i] for i in places),
+        kind=wrong.kind,
+        labels=wrong.labels,
         delta_chi2=fit.chi2 - chi2,
         p_gain=corrected(p, ways),
         chi2=chi2,
@@ -245,15 +333,15 @@ def suspected(
     )
 
 
-def _chance(fit: Minimum, i: int, j: int, gain: float) -> float:
-    """Probability that exchanging two correct rows lowers chi2 by as much.
+def _chance(fit: Minimum, wrong: WrongRows, gain: float) -> float:
+    """Probability that exchanging correct rows lowers chi2 by as much.
 
     Exchanging moves the readings by a known amount: the gain is 2 z s - s^2, s the size of what the
     parameters cannot follow.
     """
     predicted = fit.signal[fit.statistic.used]
-    moved = np.zeros(len(predicted))
-    moved[i], moved[j] = predicted[j] - predicted[i], predicted[i] - predicted[j]
+    order, factors = wrong.exchange(len(predicted))
+    moved = factors * predicted[order] - predicted
     size = math.sqrt(max(float(moved @ fit.precision @ moved), 1e-12))
     return float(ndtr(-(gain + size**2) / (2.0 * size)))
 

@@ -291,7 +291,9 @@ def plausible_ranges(effects: Iterable[Effect], model: Model) -> dict[str, tuple
     signals = np.array([r.signal for r in model.readings if r.use and not r.of_beam])
     values = model.campaign.values
     return {
-        p.name: p.plausible_among(values, signals) for effect in effects for p in effect.parameters
+        p.name: p.plausible_in(values)
+        for effect in effects
+        for p in effect.beside(signals).parameters
     }
 
 

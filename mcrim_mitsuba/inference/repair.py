@@ -166,9 +166,10 @@ def mended_scene(
     """A campaign's scene with more effects in it than its own, and with other values.
 
     Effects of the readings are left out. Values are by scene parameter, those of the effects
-    included; what is none is left out.
+    included; what is none is left out. Sizes that are tied follow.
     """
     scene = campaign.scene
+    values = {**values, **{name: values[of] for name, of in campaign.ties.items() if of in values}}
     for name in effects:
         effect = campaign.catalogue[name]
         if effect.edit is not None:

@@ -31,7 +31,13 @@ from mcrim_mitsuba.campaign.measurements import KIND, LIGHT
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.inference.closed_form import Cause, Discrepancy, Surroundings
-from mcrim_mitsuba.inference.compare import likely_swaps
+from mcrim_mitsuba.inference.compare import (
+    BAD_READING,
+    SWAPPED_ROWS,
+    WrongRows,
+    likely_swaps,
+    swapped_treatments,
+)
 from mcrim_mitsuba.inference.displacement import BaselineFrame
 from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.estimates import left_out
@@ -69,45 +75,47 @@ def surroundings() -> tuple[Surroundings, ...]:
 # ---- wrong readings ----
 
 
-def suspicious(frame: BaselineFrame) -> dict[str, tuple[int, ...]]:
-    """Readings that may be wrong, and rows that may be exchanged: their places, by name.
+def suspicious(frame: BaselineFrame) -> dict[str, WrongRows]:
+    """Readings that may be wrong, rows and treatments that may be exchanged, by name.
 
-    Of many readings those whose error would explain most, of all exchanges the likeliest.
+    Of many readings those whose error would explain most, of all exchanges of rows the likeliest.
     """
     labels = frame.fit.statistic.labels
     # squared, what chi2 falls by without the reading
     _, pulls = left_out(frame.fit)
     likeliest = np.sort(np.argsort(-np.abs(pulls), kind="stable")[: RIVALS.most_readings])
-    swaps = likely_swaps(frame.fit, RIVALS.most_swaps)
-    return {
-        **{f"bad reading {labels[place]}": (place,) for place in likeliest.tolist()},
-        **{f"swapped rows {labels[a]} and {labels[b]}": (a, b) for a, b in swaps},
-    }
+    wrong = [WrongRows(BAD_READING, (labels[row],), (row,)) for row in likeliest.tolist()]
+    wrong += likely_swaps(frame.fit, RIVALS.most_swaps) + swapped_treatments(frame.fit)
+    return {each.name: each for each in wrong}
 
 
-def wrong_readings(frame: BaselineFrame, places: Mapping[str, tuple[int, ...]]) -> list[Cause]:
+def wrong_readings(frame: BaselineFrame, suspicions: Mapping[str, WrongRows]) -> list[Cause]:
     """Suspicious readings and rows as causes."""
     statistic = frame.fit.statistic
     signal, measured = frame.fit.signal[statistic.used], statistic.signal
-    count, pairs = len(signal), max(math.comb(len(signal), 2), 1)
+    count, kinds = len(signal), Counter(wrong.kind for wrong in suspicions.values())
+    # of rows and readings all ways, of treatments all that there are
+    ways = {BAD_READING: count, SWAPPED_ROWS: max(math.comb(count, 2), 1)}
     causes = []
-    for name, rows in places.items():
-        wrong, sizes = len(rows) == 1, np.array(RIVALS.bad_sizes if len(rows) == 1 else (1.0,))
-        change = np.zeros((count, 1))
-        here, there = list(rows), list(rows[::-1])
+    for name, wrong in suspicions.items():
+        lone, change = not wrong.partners, np.zeros((count, 1))
+        sizes = np.array(RIVALS.bad_sizes if lone else (1.0,))
         # a factor on the reading, or what it would change by, were it put where it belongs
-        change[here, 0] = 1.0 if wrong else (measured[here] - measured[there]) / signal[here]
+        order, factors = wrong.exchange(count)
+        change[:, 0] = (measured - factors * measured[order]) / signal
+        if lone:
+            change[list(wrong.rows), 0] = 1.0
         moves, of_scale = frame.of_factors(change)
         origins, slopes = np.zeros((len(sizes), len(frame.z))), np.outer(sizes, moves)
         log_scales, log_scale_slopes = np.zeros(len(sizes)), sizes * of_scale
-        if not wrong:
+        if not lone:
             origins, slopes = slopes, origins
             log_scales, log_scale_slopes = log_scale_slopes, log_scales
-        odds = RIVALS.bad_odds / count if wrong else RIVALS.swapped_odds / pairs
+        odds = RIVALS.bad_odds if lone else RIVALS.swapped_odds
         causes.append(
             Cause(
                 name=name,
-                log_odds=math.log(odds),
+                log_odds=math.log(odds / ways.get(wrong.kind, kinds[wrong.kind])),
                 log_weights=np.full(len(sizes), -math.log(len(sizes))),
                 origins=origins,
                 slopes=slopes,

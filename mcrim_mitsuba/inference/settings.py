@@ -127,6 +127,8 @@ class SuspicionSettings:
     to_the_end: int = 6
     #: By this much a reading's variance grows when it is left out.
     left_out: float = 1e8
+    #: Treatments of which any two may have been exchanged, at most.
+    most_treatments: int = 6
     #: Suspects as good as the best, within this in chi2.
     rival: float = 4.0
     #: Factors of levels that the free parameters follow but for this part are absorbed.

@@ -300,10 +300,11 @@ class Statistic:
         other._unexplained = covariance
         return other
 
-    def exchanged(self, order: NDArray[np.int64]) -> Statistic:
-        """With the (used,) readings, and their own errors, in another order."""
+    def exchanged(self, order: NDArray[np.int64], factors: Array | float = 1.0) -> Statistic:
+        """With the (used,) readings, and their own errors, in another order, times factors."""
         other = copy.copy(self)
-        other.signal, other.variance = self.signal[order], self.variance[order]
+        other.signal = factors * self.signal[order]
+        other.variance = np.square(factors) * self.variance[order]
         return other
 
     # ---- parameters ----

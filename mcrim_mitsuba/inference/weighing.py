@@ -26,7 +26,7 @@ from mcrim_mitsuba.inference.closed_form import (
     WeighedSets,
     weigh_sets,
 )
-from mcrim_mitsuba.inference.compare import BAD_READING, SWAPPED_ROWS, Suspect, suspected
+from mcrim_mitsuba.inference.compare import BAD_READING, Suspect, WrongRows, suspected
 from mcrim_mitsuba.inference.displacement import (
     BaselineFrame,
     NullDistribution,
@@ -309,7 +309,7 @@ class _Weigher:
 
     def _excluding(self) -> NDArray[np.bool_]:
         """Which two causes cannot be there together."""
-        readings = [set(rows) for rows in self._readings.values()]
+        readings = [set(wrong.rows) for wrong in self._readings.values()]
         effects, count = self._explanations.effects, len(self._effects)
         excluded = np.zeros((count + len(readings),) * 2, bool)
         for i, one in enumerate(self._effects):
@@ -375,7 +375,7 @@ class _Weigher:
     ) -> list[tuple[Minimum, Evidence]]:
         """Fits and evidences with wrong readings of every size, in some surroundings."""
         explanations, start = self._explanations, self._explanations.fit(effects)
-        statistic, order = start.statistic, np.arange(len(self._covariance))
+        statistic, own = start.statistic, start.statistic
         covariance = around.amplitude**2 * self._covariance
         if around.error_factor != 1.0:
             signal = start.signal[statistic.used]
@@ -383,14 +383,12 @@ class _Weigher:
             covariance = covariance + (around.error_factor**2 - 1.0) * stated
         single = np.zeros(len(covariance))
         for name in wrong:
-            places = list(self._readings[name])
-            if len(places) == 1:
-                single[places] = 1.0
+            if self._readings[name].partners:
+                own = own.exchanged(*self._readings[name].exchange(len(single)))
             else:
-                order[places] = places[::-1]
+                single[list(self._readings[name].rows)] = 1.0
         evidences = []
         for size in RIVALS.bad_sizes if single.any() else (0.0,):
-            own = statistic.exchanged(order)
             own = own.with_unexplained(covariance + np.diag(size**2 * single))
             fit = settle(own, start.theta)
             evidences.append((fit, evidence_of(fit, explanations.priors(effects), hopeless=True)))
@@ -409,15 +407,18 @@ class _Weigher:
         if not wrong:
             return None
         baseline = self._frame.fit
-        places = sorted({place for name in wrong for place in self._readings[name]})
-        alone = len(wrong) == 1
-        kind = SWAPPED_ROWS if alone and len(places) == 2 else BAD_READING
+        suspicions = [self._readings[name] for name in wrong]
+        together = suspicions[0]
+        if len(wrong) > 1:
+            rows = tuple(sorted({row for each in suspicions for row in each.rows}))
+            labels = tuple(baseline.statistic.labels[row] for row in rows)
+            together = WrongRows(BAD_READING, labels, rows)
         pull = None
-        if kind == BAD_READING and len(places) == 1:
+        if together.kind == BAD_READING and len(together.rows) == 1:
             # to first order the square of the pull is the gain
-            away = float(baseline.weighted_residuals[places[0]])
+            away = float(baseline.weighted_residuals[together.rows[0]])
             pull = math.copysign(math.sqrt(max(baseline.chi2 - fit.chi2, 0.0)), away)
-        return suspected(baseline, kind, places, fit.chi2, pull)
+        return suspected(baseline, together, fit.chi2, pull)
 
     def _closed(self, place: int) -> Hypothesis:
         """A set by its closed form."""

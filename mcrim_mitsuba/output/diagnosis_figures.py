@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FixedLocator, NullLocator
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 from scipy.special import chdtri
 
 from mcrim_mitsuba.campaign.parameter import SCALE
@@ -54,6 +54,8 @@ _FURTHER_LINE = 0.5
 _OTHERS = "#b9c4d0"
 #: What is no effect has a row from here on.
 _LEAST_PROBABILITY = 1e-3
+#: And so has an effect together with that.
+_LEAST_BESIDES = 0.05
 #: The axis of gains reaches at least so far.
 _LEAST_GAIN = 4.0
 #: For losses it reaches so much of that.
@@ -134,6 +136,14 @@ def _rows(diagnosis: Diagnosis) -> tuple[list[_Row], list[_Row]]:
         if p is not None and p >= _LEAST_PROBABILITY and (singles or pairs):
             above = [i for i, row in enumerate(singles) if row.probability and row.probability > p]
             singles.insert(max(above, default=-1) + 1, _Row(capital(words), p))
+    effects = {candidate.effect for candidate in diagnosis.candidates}
+    for name, p in probabilities.items():
+        causes = name.split(" + ")
+        # an effect with something beside it that is none
+        if p >= _LEAST_BESIDES and effects & {*causes} and not effects >= {*causes}:
+            titles = (diagnosis.titles.get(c, NO_EFFECTS.get(c, c)) for c in causes)
+            lines = (textwrap.fill(style.shortened(t, 2 * _LETTERS), _LETTERS) for t in titles)
+            pairs.append(_Row(capital("\n+ ".join(lines)), p))
     return singles, pairs
 
 
@@ -243,6 +253,7 @@ def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
     lowest = min(candidate.delta_chi2 - candidate.delta_chi2_sigma for _, _, candidate in tried)
     axes.set_xlim(max(left, 1.08 * min(lowest, 0.0)), right)
     axes.axvline(0, color=style.GREY, lw=0.9)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set_xlabel("fall of χ² when the effect is added")
     style.open_axes(axes, "x")
 

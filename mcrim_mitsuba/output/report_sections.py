@@ -448,6 +448,7 @@ def describe(
         name: "held" if parameter.fixed else "fitted"
         for name, parameter in campaign.parameters.items()
     }
+    roles |= {name: f"as {leader}" for name, leader in campaign.ties.items()}
     # drawn in another process while what follows is made
     picture = photograph.begin_photograph(drawn, run, PICTURE_SCALE) if draw else None
     return BenchDescription(

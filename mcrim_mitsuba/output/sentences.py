@@ -354,6 +354,9 @@ def suspicion(suspect: Suspect) -> str:
     if suspect.kind == "swapped_rows":
         first, second = suspect.labels
         return f"{first} and {second} look swapped: with the two exchanged {gain}; {chance}"
+    if suspect.kind == "swapped_treatments":
+        look = f"the labels of all rows of {together(suspect.labels)} look swapped"
+        return f"{look}: with these exchanged {gain}; {chance}"
     if len(suspect.labels) > 1:
         return f"{together(suspect.labels)} look wrong: without them {gain}; {chance}"
     off = "" if suspect.pull is None else f", {suspect.pull:+.1f} sigma from the others' prediction"

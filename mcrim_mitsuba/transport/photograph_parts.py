@@ -376,7 +376,8 @@ def _face(group: Sequence[tuple[Surface, Triangles]]) -> BenchPart:
             says = f"takes light within {surface.acceptance_deg:.4g}°"
         finish = Finish(GLOSSY, finish.colour)
     elif surface.kind == DIFFUSE:
-        says = f"reflects {percent}, diffusely" if surface.reflectance else "black"
+        how = "as a mirror" if surface.mirror_part == 1.0 else "diffusely"
+        says = f"reflects {percent}, {how}" if surface.reflectance else "black"
         rods = _rods(shapes, GREY)
     else:
         says = surface.plugin

@@ -8,6 +8,9 @@ import time
 import pytest
 from app_page import KEYS, LONGEST_SIMULATION_S, misfit, running
 
+from mcrim_mitsuba.app.bench_picture import bench_words
+from mcrim_mitsuba.campaign.measurements import Reading
+
 MANY_PHOTONS = 1_048_576
 
 
@@ -15,6 +18,16 @@ MANY_PHOTONS = 1_048_576
 def campaign(tmp_path):
     """The misfit's campaign with four readings."""
     return misfit(tmp_path, (2, 3, 7, 15, 18))
+
+
+def test_a_reading_tells_its_treatment_and_line():
+    row = Reading("bare", 1.0, 0.1, {"source_z_mm": 5.0}, without=("top", "sides"), energy_keV=511)
+    assert bench_words(row, {"gap_mm": 0.05}, ("source_z_mm",)) == [
+        ("without", "top, sides"),
+        ("line", "511 keV"),
+        ("source z", "5 mm"),
+        ("gap", "0.05 mm"),
+    ]
 
 
 def test_jobs_wait_and_stop(browser, campaign, scenes):

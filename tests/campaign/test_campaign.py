@@ -218,6 +218,23 @@ def test_the_old_name_of_an_effect_is_read(folder):
         assert says in str(refused.value)
 
 
+def test_readings_that_are_not_used_limit_no_size(folder):
+    """A reading with use = 0, of a hundredth of the others, made all backgrounds impossible."""
+    rows = CSV.replace("n_gap\n", "n_gap,use\n").replace("1.00\n", "1.00,1\n")
+    rows = rows.replace("1.46\n", "1.46,1\n")
+    off = "".join(f"{name},{signal},0.2,1.46,0\n" for name, signal in (("dark", 0.1), ("odd", 900)))
+    known = []
+    for text in (rows, rows + off):
+        (folder / "measured.csv").write_text(text)
+        effects = campaign(folder, CAMPAIGN).catalogue
+        known.append([effects[name].parameters[0] for name in ("background", "nonlinearity")])
+    assert known[0] == known[1]
+    background, bend = known[0]
+    assert (background.minimum, background.maximum) == (-14.3, 14.3)
+    assert background.plausible == pytest.approx((-1.43, 1.43))
+    assert bend.plausible == pytest.approx((-0.1 / 24.5, 0.2 / 24.5))
+
+
 def test_an_index_begins_beside_the_scenes(folder):
     scene = SCENE.replace("<shape", '<default name="n_crystal" value="2.01"/><shape n="$n_crystal"')
     (folder / "camoo4.xml").write_text(scene)

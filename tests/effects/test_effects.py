@@ -401,8 +401,8 @@ def test_a_nonlinear_readout_divides_by_nothing_and_rises_on():
         assert by_true == pytest.approx((up - down) / (2e-4 * true), rel=0.01)
         up, down = (reading(true, value + step, nothing)[0] for step in (1e-8, -1e-8))
         assert by_value == pytest.approx((up - down) / 2e-8, rel=0.01)
-    low, high = KNOWN["nonlinearity"].parameters[0].plausible_among({}, np.array([5.0, 40.0]))
-    assert (low, high) == (-0.1 / 40.0, 0.2 / 40.0)
+    (beside,) = KNOWN["nonlinearity"].beside(np.array([5.0, 40.0])).parameters
+    assert beside.plausible_in({}) == (-0.1 / 40.0, 0.2 / 40.0)
 
 
 def test_the_old_name_of_an_effect_is_read_and_taken(bench, tmp_path):

@@ -21,6 +21,7 @@ from mcrim_mitsuba.inference.next_measurements import _most_kept, next_measureme
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN, DiscrepancyModel, discrepancy_at
 from mcrim_mitsuba.inference.simulations import MeasurementProposals
 from mcrim_mitsuba.inference.weighing import Hypothesis, weigh_hypotheses
+from mcrim_mitsuba.output.sentences import suspicion
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 LIGHT = LightYieldInput(50.0, 0.1, 0.0)  # a scale of 5 is 1 ph/keV
@@ -80,6 +81,39 @@ def test_swapped_rows_are_named():
     assert found.families[0].family == "instrument"
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_exchanged_labels_of_treatments_are_named(swapped):
+    """Six rows in air have those of gel; as they are nothing is named."""
+    signal = bench.signals(TRUTH)
+    signal = signal * (1.0 + bench.SIGMA * np.random.default_rng(3).standard_normal(len(signal)))
+    rows = []
+    for row in bench.readings(signal):
+        name = {1.0: "dry", 1.46: "gel"}.get(row.parameters["n_gap"], "others")
+        rows.append(replace(row, without=(name,), group=name, group_sigma=0.002))
+    dry, gel = ([i for i, row in enumerate(rows) if row.group == name] for name in ("dry", "gel"))
+    for i, j in zip(dry, gel, strict=True) if swapped else ():
+        assert rows[i].parameters["gap_mm"] == rows[j].parameters["gap_mm"]
+        first, second = rows[i], rows[j]
+        rows[i] = replace(first, signal=second.signal, sigma=second.sigma)
+        rows[j] = replace(second, signal=first.signal, sigma=first.sigma)
+    columns = ("gap_mm", "aperture_radius_mm", "crystal_height_mm")
+
+    def model(added):
+        treated = bench.Model(tuple(rows), tuple(added), bench.simulation_noise(3))
+        treated.campaign.measurements = SimpleNamespace(columns=columns)
+        return treated
+
+    some = {name: SOME[name] for name in ("gap_bubble", "surface_absorption")}
+    found = diagnosis_of(judge(model, some))
+    if not swapped:
+        assert not found.suspect_readings and not found.baseline.suspects
+        return
+    assert found.verdict == "unexplained" and not found.repair[1:]
+    for suspects in (found.suspect_readings, found.baseline.suspects):
+        assert suspects[0].kind == "swapped_treatments" and suspects[0].labels == ("dry", "gel")
+        assert "labels of all rows of dry and gel look swapped" in suspicion(suspects[0])
+
+
 def test_many_readings_are_searched_in_little_memory():
     """Three mountings of every configuration, two unlike readings exchanged.
 
@@ -107,9 +141,7 @@ def test_many_readings_are_searched_in_little_memory():
     assert peak < 20e6, peak
 
     def chi2(pair):
-        order = np.arange(len(rows))
-        order[list(pair)] = pair[::-1]
-        return settle(fit.statistic.exchanged(order), fit.theta).chi2
+        return settle(fit.statistic.exchanged(*pair.exchange(len(rows))), fit.theta).chi2
 
     best = likely_swaps(fit, 5)
     assert sorted(best, key=chi2) == best

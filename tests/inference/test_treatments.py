@@ -14,6 +14,7 @@ from scipy import stats
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects, measurements_text
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.inference.drivers import find_minima
 from mcrim_mitsuba.inference.fit import fit_model, result_of
 from mcrim_mitsuba.inference.repair import mended_scene, scene_text
@@ -149,6 +150,33 @@ def test_columns_take_a_wrapping_off(read):
     assert "neither 0 nor 1" in message
 
 
+@pytest.mark.parametrize("apart", [False, True])
+def test_columns_take_a_sheet_off(read, tmp_path, apart):
+    """Paper over the crystal, which wears a bsdf of its own or one by its id; nothing else."""
+    plain = read_scene(SCENES / "lyso_sipm.xml")
+    text = add("top_reflector", plain).replace('id="top_reflector"', 'id="paper"')
+    if apart:
+        start = text.index("<bsdf", text.index('id="paper"'))
+        end = text.index("</bsdf>", start) + len("</bsdf>")
+        white = text[start:end].replace("<bsdf", '<bsdf id="white"')
+        text = text[:start] + '<ref id="white"/>' + text[end:]
+        text = text.replace("  <!-- A white reflector exactly", f"  {white}\n  <!-- A white")
+    (tmp_path / "bench.xml").write_text(text)
+    campaign = "scene = 'bench.xml'\nmeasurements = 'rows.csv'\n[parameters.alpha_abs_per_cm]\n"
+    campaign += "start = 0.03\nfixed = true\n[parameters.alpha_scat_per_cm]\nstart = 0.05\n"
+    rows = "label,signal,sigma,paper\nwith it,1.2,0.1,1\nbare,1,0.1,0\n"
+    scene, (first, second) = (c := read(campaign, rows)).scene, c.measurements.readings
+    for row, bench in ((first, read_scene(tmp_path / "bench.xml")), (second, plain)):
+        etas = [
+            simulate(each, photons=5_000, seed=3).eta
+            for each in (scene.with_overrides(row.parameters), bench)
+        ]
+        assert etas[0] == etas[1]
+    for name in ("crystal_top", "detector", "papers"):
+        message = refusal(read, campaign, rows.replace("paper", name))
+        assert f"column {name}: neither a column" in message and "\n" not in message
+
+
 def test_a_switch_masks_what_only_weighs_or_reads(read):
     """A column of an effect that is not switched on is of a candidate, which acts on its rows."""
     campaign = read(TEXT.replace('"ground_top"]', '"ground_top", "nonlinearity"]'))
@@ -229,7 +257,8 @@ def test_what_was_switched_is_written_and_read_again(read, tmp_path):
     (tmp_path / "rows.csv").write_text(written)
     assert read(rows=written).measurements.readings == campaign.measurements.readings
     target = tmp_path / "mended.toml"
-    scene = mended_scene(campaign, (), {"ground_side_alpha": 0.4, "ground_top_alpha": 0.4})
+    # the size of the other face is tied to it
+    scene = mended_scene(campaign, (), {"ground_side_alpha": 0.4})
     (tmp_path / "mended.xml").write_text(scene_text(scene))
     starts = {"ground_side_alpha": 0.4}
     target.write_text(campaign_with_effects(campaign, target, target.with_suffix(".xml"), starts))

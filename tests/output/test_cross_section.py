@@ -13,9 +13,14 @@ from matplotlib.image import imread
 from places import SCENES, cases_of, tables_of
 from refusals import refusal
 
-from mcrim_mitsuba.output.cross_section import COLOURS, cross_section_figure, write_cross_section
+from mcrim_mitsuba.output.cross_section import (
+    COLOURS,
+    cross_section_figure,
+    write_cross_section,
+)
 from mcrim_mitsuba.transport.check import interfaces_of
 from mcrim_mitsuba.transport.cut import cross_section, masked
+from mcrim_mitsuba.transport.scene_model import DIFFUSE, Surface
 from mcrim_mitsuba.transport.simulation import Simulation
 
 cases = cases_of(__file__)
@@ -167,6 +172,15 @@ def test_everything_is_named_to_scale_and_nothing_overlaps(case, load):
     assert all(0 < box.x0 and box.x1 < figure.bbox.width for box in heads)
     assert simulation.file.path.name in figure.texts[0].get_text()
     assert all(f"{name}=" in figure.texts[1].get_text() for name in simulation.file.parameters)
+
+
+def test_what_mirrors_and_what_is_black_is_called_so():
+    """Both were diffuse reflectors, of 98 % and of no percentage."""
+    sheet = functools.partial(Surface, "foil", 0, 0, DIFFUSE)
+    white, mirror = sheet(reflectance=0.98), sheet(reflectance=0.98, mirror_part=1.0)
+    black = sheet(reflectance=0.0)
+    said = [face.kind_name for face in (white, mirror, black)]
+    assert said == ["diffuse reflector", "mirror", "black surface"]
 
 
 def test_detail_shows_the_gap_at_the_crystals_lower_edge(load):

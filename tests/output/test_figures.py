@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import findings_by_hand as by
 import numpy as np
 import pytest
 from formula_surfaces import couplings
@@ -258,6 +259,15 @@ def test_nothing_to_draw_is_said(scenes, tmp_path):
     flat = Histogram(Path("flat"), (), np.arange(20.0), np.full(20, 5.0))
     figure = histograms.draw_histograms([histograms.FittedHistogram("flat", flat, None)]).figure
     assert "no peak stands out" in figure.axes[0].get_legend().get_texts()[0].get_text()
+
+
+def test_an_effect_with_something_unknown_has_its_probability():
+    """Where nothing else was likely the ranking's bars were all empty."""
+    likely = {f"{by.FIRST} + unknown": 0.99, f"{by.FIRST} + {by.SECOND}": 0.01, "none": 0.0}
+    singles, rest = staircase._rows(by.diagnosis("missing_effect", probabilities=likely))
+    assert not any(row.probability for row in singles)
+    ((name, p),) = [(row.name, row.probability) for row in rest]
+    assert p == 0.99 and "no catalogue" in name.replace("\n", " ")
 
 
 def test_profile_crossings_are_none_where_the_curve_ends():
