@@ -184,7 +184,9 @@ def differences(stored: Any, found: Any, tolerance: Tolerance, where: str = "") 
                     yield f"{where}/{key}: {value} was stored, {found[key]} found"
             elif key in OF_A_THRESHOLD and None in (value, found[key]):
                 continue
-            elif key in LISTED and type(value) is type(found[key]):
+            elif (
+                key in LISTED and isinstance(value, list | str) and type(value) is type(found[key])
+            ):
                 sides = (s.split() if isinstance(s, str) else s for s in (value, found[key]))
                 old, new = ({name_of(each): each for each in side} for side in sides)
                 both = old.keys() & new.keys()
