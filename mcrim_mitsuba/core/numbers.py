@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import numbers
 import re
+from collections.abc import Iterator, Mapping
 from decimal import Decimal
 from typing import Any
 
@@ -174,6 +175,11 @@ SHORTEST_GAP_MM = 1e-3
 LONGEST_GAP_MM = 10.0
 #: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
 LARGEST_PER_CM = 100.0
+# Beyond these a value is possible, but seldom meant: it gets a note.
+#: Gaps and films (mm) are of 0.01 to 0.5, and 1 or 2 where air is left on purpose.
+WIDEST_USUAL_GAP_MM = 3.0
+#: Light that turns after a third of a millimetre (1/cm) is in milk glass or powder, not a crystal.
+LARGEST_USUAL_PER_CM = 30.0
 #: Scene parameter: where along the crystal light is born, above its bottom.
 SOURCE_Z = "source_z_mm"
 #: In names of what is thin by nature.
@@ -224,6 +230,27 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
     if name.endswith("reflectance") and not 0.0 <= value <= 1.0:
         return "value", "a reflectance lies between 0 and 1", "give a fraction, not percent"
     return None
+
+
+def doubts(parameters: Mapping[str, Value]) -> Iterator[tuple[str, str]]:
+    """Names of scene parameters whose values are hardly meant, with what is odd of each."""
+    sizes = {
+        name: float(value)
+        for name, value in parameters.items()
+        if isinstance(value, int | float) and not isinstance(value, bool)
+    }
+    radius, window = sizes.get("aperture_radius_mm", 0.0), sizes.get("window_width_mm", math.inf)
+    for name, value in sizes.items():
+        usual, unit = WIDEST_USUAL_GAP_MM, "mm"
+        if name in COEFFICIENTS:
+            usual, unit = LARGEST_USUAL_PER_CM, "1/cm"
+        elif not (name.endswith("_mm") and ("gap" in name or "film" in name)):
+            continue
+        if value > usual:
+            yield name, f"is {value:g} {unit}, seldom more than {usual:g}: is it meant in {unit}?"
+    if radius > window:
+        text = f"is {radius:g} mm: such a mask covers nothing of a window {window:g} mm wide"
+        yield "aperture_radius_mm", text
 
 
 def _judge_length(name: str, value: float) -> tuple[str, str, str] | None:

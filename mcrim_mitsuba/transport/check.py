@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -69,7 +69,8 @@ def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckRepo
         problems = _problems_of_detector(simulation)
     path = choose_path(model, simulation.polarization)
     sentences = describe(simulation, faces, path.name)
-    return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences), file.notes)
+    notes = (*file.notes, *_notes_of_surfaces(model.surfaces))
+    return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences), notes)
 
 
 def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
@@ -258,6 +259,15 @@ def _volume_sentence(
     if volume.endless:
         text += "; light that enters it goes straight on, to what it meets from outside"
     return text + (f"; {_emission(crystal)}" if number == crystal.volume else "")
+
+
+def _notes_of_surfaces(surfaces: Iterable[Surface]) -> Iterator[str]:
+    """What is no mistake, but seldom meant."""
+    if rough := [s.name for s in surfaces if s.plugin == "RoughDielectric"]:
+        yield (
+            f"Mitsuba's roughdielectric loses what its facets send on to others: {', '.join(rough)}"
+            '; <bsdf type="polish"> with its alpha as roughness_alpha follows it'
+        )
 
 
 def _surface_sentences(surface: Surface) -> list[str]:

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
+from lxml import etree
+
+from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Provenance, signals_wait
 from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem, problems_of_text
@@ -24,6 +26,15 @@ if TYPE_CHECKING:
 DEFAULT_PHOTONS = 2_000_000
 _PLACE = re.compile(r"(?P<file>\S+\.xml)? ?\(line (?P<line>\d+), col (?P<column>\d+)\):? ?")
 _NO_PLUGIN = re.compile(r'(?P<kind>\w+) plugin of type "(?P<type>[^"]*)": .* not found')
+_UNKNOWN_NAME = re.compile(
+    r'unreferenced propert\w+ in (?P<kind>\w+) plugin of type "(?P<type>\w+)": \w+ "(?P<name>\w+)"'
+)
+_LACKING_NAME = re.compile(
+    r'(?P<kind>\w+) plugin of type "(?P<type>\w+)".* property named "(?P<name>\w+)"'
+)
+_PLUGIN_SAYS = re.compile(
+    r'failed to instantiate (?P<kind>\w+) plugin of type "(?P<type>\w+)": (\[\w+\] )?(?P<says>.+)'
+)
 _SOURCE = re.compile(r"\[[\w.]+\.(cpp|h):\d+\] ?")
 
 
@@ -278,13 +289,53 @@ def _refusal(text: str, file: SceneFile) -> InputError:
     if unknown := _NO_PLUGIN.search(cause):
         problem = f"there is no {unknown['kind']} of type {unknown['type']!r}"
         mend = did_you_mean(unknown["type"], PLUGIN_TYPES.get(unknown["kind"], ()))
-    return InputError(
-        problem,
-        mend,
-        path=place["file"] if place and place["file"] else file.path,
-        line=int(place["line"]) if place else None,
-        column=int(place["column"]) if place else None,
-    )
+    elif told := _PLUGIN_SAYS.match(cause):
+        wrong, _, how = told["says"].rstrip(".").partition("; ")
+        problem, mend = f"{_plugin_words(told)}: {wrong}", how or mend
+    path = place["file"] if place and place["file"] else file.path
+    line = int(place["line"]) if place else None
+    if place and (told := _refusal_of_names(cause, file, (Path(path), line))) is not None:
+        return told
+    column = int(place["column"]) if place else None
+    return InputError(problem, mend, path=path, line=line, column=column)
+
+
+def _refusal_of_names(
+    cause: str, file: SceneFile, place: tuple[Path, int | None]
+) -> InputError | None:
+    """A property that a plugin does not know, or lacks, told where it is written."""
+    from mcrim_mitsuba.transport.plugins import properties_of
+
+    told = _UNKNOWN_NAME.search(cause) or _LACKING_NAME.search(cause)
+    elements = (e for e in file.root.iter(etree.Element) if file.place_of(e) == place)
+    plugin = next((e for e in elements if told and e.type == told["type"]), None)
+    if told is None or plugin is None:
+        return None
+    kind, name = _plugin_words(told), told["name"]
+    nameless = [e for e in plugin.elements if not e.get("name") and (e.type or e.tag == "ref")]
+    if name.startswith("_arg_"):
+        path, line = file.place_of(nameless[int(name.removeprefix("_arg_"))])
+        return InputError(f"{kind} has no use for this", "take it away", path=path, line=line)
+    proper = properties_of(told["kind"]).get(told["type"], [])
+    written = {e.get("name", ""): e for e in plugin.elements}
+    if name not in written:
+        # it lacks one: whatever it has in its place
+        meant, name = name, closest(name, written.keys() - set(proper)) or ""
+        if not name:
+            mend = f'write <float name="{meant}" value="..."/> in it'
+            return InputError(f"this {kind} has no {meant}", mend, path=place[0], line=place[1])
+        mend = f"did you mean {meant}?"
+    else:
+        others = [t for t, names in properties_of(told["kind"]).items() if name in names]
+        mend = did_you_mean(name, proper) if proper else "take it away, or mend its name"
+        if others and closest(name, proper) is None:
+            mend = f'write type="{others[0]}", which knows it, or take it away'
+    path, line = file.place_of(written[name])
+    return InputError(f"{kind} knows no {name}", mend, path=path, line=line)
+
+
+def _plugin_words(told: re.Match[str]) -> str:
+    return f'<{told["kind"]} type="{told["type"]}">'
 
 
 def _clean(line: str) -> str:

@@ -315,18 +315,45 @@ def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
     )
 
 
-def test_what_is_alike_is_said_by_family():
+@pytest.mark.parametrize(
+    ("count", "alternatives"),
+    [
+        (2, "effect_0 or effect_1"),
+        (6, "effect_0, effect_1, effect_2, effect_3, effect_4 or effect_5"),
+        (7, "effect_0, effect_1, effect_2, effect_3 or 3 others"),
+    ],
+)
+def test_what_is_alike_is_named(count, alternatives):
     leading = (by.CANDIDATES[0], by.CANDIDATES[1])
-    families = {f"effect_{i}": "gap" if i < 4 else "bulk" if i < 6 else "light" for i in range(7)}
-    alike = [
-        replace(by.CANDIDATES[3], effect=n, effects=(n,), family=f) for n, f in families.items()
-    ]
-    first, second = (replace(one, mimics=tuple(families)) for one in leading)
-    found = by.diagnosis("ambiguous", candidates=(first, second, *alike))
-    assert sentences.mistakable(found) == (
+    names = [f"effect_{i}" for i in range(count)]
+    alike = [replace(by.CANDIDATES[3], effect=name, effects=(name,)) for name in names]
+    # in the order of the ranking
+    first, second = (replace(c, mimics=tuple(names[::-1])) for c in leading)
+    diagnosis = by.diagnosis("ambiguous", candidates=(first, second, *alike))
+    assert sentences.mistakable(diagnosis) == (
         "By these readings absorbing crystal surface and air bubble in the gap could be mistaken "
-        "for each other, effect_6 or one of gap (4), bulk (2)."
+        f"for each other and for {alternatives}."
     )
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "told"),
+    [
+        (
+            {"surface_loss": 0.736, "gap_bubble": 0.2449, "none": 0.0, "unknown": 0.004},
+            "absorbing crystal surface 74 %, air bubble in the gap 24 %, nothing missing 0 %, "
+            "something that is in no catalogue 0.4 %, all else 1.6 %",
+        ),
+        (
+            {"surface_loss+gap_bubble": 0.995, "gap_bubble": 0.005, "none": 0.0, "others": 0.0},
+            "absorbing crystal surface with air bubble in the gap 100 %, nothing missing 0 %",
+        ),
+    ],
+)
+def test_the_probabilities_that_are_told_sum_to_all(probabilities, told):
+    text = sentences.shares_text(replace(by.diagnosis("ambiguous"), probabilities=probabilities))
+    assert text == f"Of 100 %: {told}."
+    assert sum(map(float, re.findall(r"([0-9.]+) %(?!:)", text))) == pytest.approx(100.0)
 
 
 def test_what_to_measure_next_is_named_with_its_part_of_the_error():

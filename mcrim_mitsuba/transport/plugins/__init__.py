@@ -2,6 +2,44 @@
 
 Each module registers its plugins with the active variant of Mitsuba when it is (re)loaded."""
 
+from __future__ import annotations
+
+import re
+import sys
+
+_INDICES = ["int_ior", "ext_ior"]
+#: Properties of Mitsuba's plugins that benches are made of, by element and type.
+_MITSUBAS = {
+    "bsdf": {
+        "dielectric": _INDICES,
+        "roughdielectric": [*_INDICES, "alpha", "distribution"],
+        "thindielectric": _INDICES,
+        "diffuse": ["reflectance"],
+    },
+    "medium": {"homogeneous": ["albedo", "sigma_t", "scale"]},
+    "phase": {"hg": ["g"]},
+    "shape": {
+        "cube": ["to_world", "flip_normals"],
+        "cylinder": ["p0", "p1", "radius", "to_world", "flip_normals"],
+        "disk": ["to_world", "flip_normals"],
+        "rectangle": ["to_world", "flip_normals"],
+        "sphere": ["center", "radius", "to_world", "flip_normals"],
+    },
+}
+_TYPE = re.compile(r'XML:\s+``<(\w+) type="(\w+)"')
+_PROPERTIES = re.compile(r"^    (``.+``) : ", re.MULTILINE)
+
+
+def properties_of(kind: str) -> dict[str, list[str]]:
+    """Names of properties by type of plugin, of one kind of element; the loaded plugins tell."""
+    properties = dict(_MITSUBAS.get(kind, {}))
+    loaded = [m for name, m in sys.modules.items() if name.startswith(f"{__name__}.")]
+    for text in (text for m in loaded for c in vars(m).values() if (text := c.__doc__)):
+        if (told := _TYPE.search(text)) and told[1] == kind:
+            names = re.findall(r"``(\w+)``", " ".join(_PROPERTIES.findall(text)))
+            properties[told[2]] = [*names, *(["to_world"] if kind == "shape" else [])]
+    return properties
+
 
 def number(props, name: str, default: float, low: float = 0.0, high: float = 1.0) -> float:
     """A number of a plugin's; raises ValueError where it is out of range."""
