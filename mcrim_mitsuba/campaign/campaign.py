@@ -37,6 +37,7 @@ from mcrim_mitsuba.core.numbers import (
     ALPHA_SCAT,
     COEFFICIENTS,
     COUNTED,
+    LEAST_USUAL_KEV,
     Value,
     judge,
     value_text,
@@ -169,6 +170,13 @@ class Campaign:
     def notes(self) -> tuple[str, ...]:
         """What the reader must know of scene, effects and raw data before using the numbers."""
         notes = [*self.scene.notes, *self.executed]
+        typed = [self.light_yield, *self.measurements.readings]
+        energies = {of.energy_keV for of in typed if of is not None and of.energy_keV is not None}
+        notes += [
+            f"energy_keV = {energy:g}: is it in MeV? Then write {1e3 * energy:g}"
+            for energy in sorted(energies)
+            if energy < LEAST_USUAL_KEV
+        ]
         if self.raw is not None:
             notes += self.raw.notes
         if self.spectrum is not None:

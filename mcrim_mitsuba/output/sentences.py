@@ -244,7 +244,7 @@ def shares_text(diagnosis: Diagnosis) -> str:
             continue
         rounded = round(100.0 * p, 0 if p >= 0.0095 else 1)
         percents += rounded
-        what = NO_EFFECTS.get(name) or " with ".join(titles_of(diagnosis, name.split("+")))
+        what = NO_EFFECTS.get(name) or " with ".join(titles_of(diagnosis, name.split(" + ")))
         words.append(f"{what} {rounded:g} %")
     left = round(100.0 - percents, 1)
     return f"Of 100 %: {', '.join([*words, *([f'all else {left:g} %'] if left > 0.0 else [])])}."

@@ -122,8 +122,6 @@ NAMED_INDICES = {
     "diamond": 2.419,
 }
 _WITH_INDICES = {"dielectric", "polish", "roughdielectric", "thindielectric"}
-#: Of roughdielectric, where it has no alpha.
-_MITSUBAS_ALPHA = 0.1
 
 
 def _dielectric_of(file: SceneFile, shape: Node) -> Node | None:
@@ -262,7 +260,7 @@ def _problems_of_dielectric(file: SceneFile, element: Node, shape: str) -> list[
     who = f"bsdf {element.get('id')!r}" if element.get("id") else f"the bsdf of {shape}"
     problems = []
     if element.type == "roughdielectric" and element.named("alpha") is None:
-        text = f"{who} is a roughdielectric without alpha: Mitsuba would take {_MITSUBAS_ALPHA:g}"
+        text = f"{who} is a roughdielectric without alpha: Mitsuba would take 0.1"
         mend = 'write <float name="alpha" value="..."/>, or type="dielectric" for a polished face'
         problems.append(SceneProblem("surface", text, mend, *file.place_of(element)))
     for side, default in (("int_ior", "1.5046"), ("ext_ior", "1.000277")):

@@ -193,8 +193,8 @@ class SceneFile:
         notes = []
         for name, text in (*unused, *doubts(self.parameters)):
             default = self.defaults[name]
-            line = f" of {default.path.name}, line {default.line},"
-            notes.append(f"{name}{'' if name in self.overrides else line} {text}")
+            place = f" of {default.path.name}, line {default.line},"
+            notes.append(f"{name}{'' if name in self.overrides else place} {text}")
         return tuple(notes)
 
     @property

@@ -329,9 +329,9 @@ def misspelt(element: etree._Element) -> tuple[str, str] | None:
         if holders is not _HOLDERS:
             mend = f"it belongs in {' or '.join(f'<{holder}>' for holder in holders)}: move it"
         return f"this <{tag}> stands in <{parent.tag!s}>, which has no use for it", mend
-    if (name := element.get("name")) and tag != "default":
-        if any(other.get("name") == name for other in element.itersiblings(preceding=True)):
-            return f"{name} stands here a second time", "keep one of the two"
+    if (twice := element.get("name")) and tag != "default":
+        if any(e.get("name") == twice for e in element.itersiblings(preceding=True)):
+            return f"{twice} stands here a second time", "keep one of the two"
     return None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -289,12 +290,14 @@ def _refusal(text: str, file: SceneFile) -> InputError:
     if unknown := _NO_PLUGIN.search(cause):
         problem = f"there is no {unknown['kind']} of type {unknown['type']!r}"
         mend = did_you_mean(unknown["type"], PLUGIN_TYPES.get(unknown["kind"], ()))
-    elif told := _PLUGIN_SAYS.match(cause):
-        wrong, _, how = told["says"].rstrip(".").partition("; ")
-        problem, mend = f"{_plugin_words(told)}: {wrong}", how or mend
-    path = place["file"] if place and place["file"] else file.path
+    elif refused := _PLUGIN_SAYS.match(cause):
+        wrong, _, how = refused["says"].rstrip(".").partition("; ")
+        problem, mend = f"{_plugin_words(refused)}: {wrong}", how or mend
+    named = place["file"] if place and place["file"] else ""
+    # of a name with blanks this is the end
+    path = next((p for p in file.files if named and str(p).endswith(named)), file.path)
     line = int(place["line"]) if place else None
-    if place and (told := _refusal_of_names(cause, file, (Path(path), line))) is not None:
+    if place and (told := _refusal_of_names(cause, file, (path, line))) is not None:
         return told
     column = int(place["column"]) if place else None
     return InputError(problem, mend, path=path, line=line, column=column)
@@ -304,34 +307,29 @@ def _refusal_of_names(
     cause: str, file: SceneFile, place: tuple[Path, int | None]
 ) -> InputError | None:
     """A property that a plugin does not know, or lacks, told where it is written."""
-    from mcrim_mitsuba.transport.plugins import properties_of
+    from mcrim_mitsuba.transport.plugins import properties_of_plugins
 
     told = _UNKNOWN_NAME.search(cause) or _LACKING_NAME.search(cause)
     elements = (e for e in file.root.iter(etree.Element) if file.place_of(e) == place)
-    plugin = next((e for e in elements if told and e.type == told["type"]), None)
-    if told is None or plugin is None:
+    element = next((e for e in elements if told and e.type == told["type"]), None)
+    if told is None or element is None:
         return None
-    kind, name = _plugin_words(told), told["name"]
-    nameless = [e for e in plugin.elements if not e.get("name") and (e.type or e.tag == "ref")]
+    kind, name, properties = _plugin_words(told), told["name"], properties_of_plugins()
+    proper, nameless = properties.get(told["type"], []), itertools.count()
+    # Mitsuba numbers objects without a name
+    written = {e.get("name") or f"_arg_{next(nameless)}": e for e in element.elements}
+    problem, mend = f"{kind} knows no {name}", did_you_mean(name, proper)
     if name.startswith("_arg_"):
-        path, line = file.place_of(nameless[int(name.removeprefix("_arg_"))])
-        return InputError(f"{kind} has no use for this", "take it away", path=path, line=line)
-    proper = properties_of(told["kind"]).get(told["type"], [])
-    written = {e.get("name", ""): e for e in plugin.elements}
-    if name not in written:
-        # it lacks one: whatever it has in its place
-        meant, name = name, closest(name, written.keys() - set(proper)) or ""
-        if not name:
-            mend = f'write <float name="{meant}" value="..."/> in it'
-            return InputError(f"this {kind} has no {meant}", mend, path=place[0], line=place[1])
-        mend = f"did you mean {meant}?"
-    else:
-        others = [t for t, names in properties_of(told["kind"]).items() if name in names]
-        mend = did_you_mean(name, proper) if proper else "take it away, or mend its name"
-        if others and closest(name, proper) is None:
-            mend = f'write type="{others[0]}", which knows it, or take it away'
-    path, line = file.place_of(written[name])
-    return InputError(f"{kind} knows no {name}", mend, path=path, line=line)
+        problem, mend = f"{kind} has no use for this", "take it away"
+    elif name not in written:  # but perhaps something in its place
+        problem, mend = f"this {kind} has no {name}", f'write <float name="{name}" value="..."/>'
+        if slip := closest(name, written.keys() - set(proper)):
+            problem, mend, name = f"{kind} knows no {slip}", f"did you mean {name}?", slip
+    elif closest(name, proper) is None:
+        others = [t for t in PLUGIN_TYPES.get(told["kind"], ()) if name in properties.get(t, ())]
+        mend = f'write type="{others[0]}", which knows it, or take it away' if others else mend
+    path, line = file.place_of(written.get(name, element))
+    return InputError(problem, mend, path=path, line=line)
 
 
 def _plugin_words(told: re.Match[str]) -> str:

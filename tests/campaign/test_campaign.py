@@ -352,9 +352,8 @@ def test_a_detector_in_air_or_on_the_crystal_has_no_window(folder, scenes, befor
     assert len(found.notes) == 1  # of the collection
 
 
-@pytest.mark.parametrize(("old", "new"), [("$n_window", "glass"), ('value="1.52"', 'value="0"')])
-def test_an_impossible_index_is_left_to_whoever_checks_the_scene(folder, scenes, old, new):
-    found = with_yield(scenes, folder, scene=lambda text: text.replace(old, new))
+def test_an_impossible_index_is_left_to_whoever_checks_the_scene(folder, scenes):
+    found = with_yield(scenes, folder, scene=lambda text: text.replace('value="1.52"', 'value="0"'))
     assert found.light_yield.detector.window_reflectance == 0.0
 
 

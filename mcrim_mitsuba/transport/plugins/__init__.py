@@ -7,37 +7,28 @@ from __future__ import annotations
 import re
 import sys
 
-_INDICES = ["int_ior", "ext_ior"]
-#: Properties of Mitsuba's plugins that benches are made of, by element and type.
+#: Properties of Mitsuba's plugins that benches are made of, by type.
 _MITSUBAS = {
-    "bsdf": {
-        "dielectric": _INDICES,
-        "roughdielectric": [*_INDICES, "alpha", "distribution"],
-        "thindielectric": _INDICES,
-        "diffuse": ["reflectance"],
-    },
-    "medium": {"homogeneous": ["albedo", "sigma_t", "scale"]},
-    "phase": {"hg": ["g"]},
-    "shape": {
-        "cube": ["to_world", "flip_normals"],
-        "cylinder": ["p0", "p1", "radius", "to_world", "flip_normals"],
-        "disk": ["to_world", "flip_normals"],
-        "rectangle": ["to_world", "flip_normals"],
-        "sphere": ["center", "radius", "to_world", "flip_normals"],
-    },
+    **dict.fromkeys(("dielectric", "thindielectric"), "int_ior ext_ior"),
+    "roughdielectric": "int_ior ext_ior alpha distribution",
+    "diffuse": "reflectance",
+    "homogeneous": "albedo sigma_t scale",
+    "hg": "g",
+    **dict.fromkeys(("cube", "disk", "rectangle"), "to_world flip_normals"),
+    "cylinder": "p0 p1 radius to_world flip_normals",
+    "sphere": "center radius to_world flip_normals",
 }
-_TYPE = re.compile(r'XML:\s+``<(\w+) type="(\w+)"')
+_TYPE = re.compile(r'XML:\s+``<\w+ type="(\w+)"')
 _PROPERTIES = re.compile(r"^    (``.+``) : ", re.MULTILINE)
 
 
-def properties_of(kind: str) -> dict[str, list[str]]:
-    """Names of properties by type of plugin, of one kind of element; the loaded plugins tell."""
-    properties = dict(_MITSUBAS.get(kind, {}))
+def properties_of_plugins() -> dict[str, list[str]]:
+    """Names of properties by type of plugin; of this package's the loaded classes tell them."""
+    properties = {name: names.split() for name, names in _MITSUBAS.items()}
     loaded = [m for name, m in sys.modules.items() if name.startswith(f"{__name__}.")]
-    for text in (text for m in loaded for c in vars(m).values() if (text := c.__doc__)):
-        if (told := _TYPE.search(text)) and told[1] == kind:
-            names = re.findall(r"``(\w+)``", " ".join(_PROPERTIES.findall(text)))
-            properties[told[2]] = [*names, *(["to_world"] if kind == "shape" else [])]
+    for text in (c.__doc__ or "" for module in loaded for c in vars(module).values()):
+        if told := _TYPE.search(text):
+            properties[told[1]] = re.findall(r"``(\w+)``", " ".join(_PROPERTIES.findall(text)))
     return properties
 
 
