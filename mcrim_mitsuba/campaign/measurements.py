@@ -240,8 +240,8 @@ def _check_header(columns: list[str], others: Iterable[str], path: Path, line: i
         if name not in columns:
             unknown = [column for column in columns if column not in _FORMAT]
             pairs = [(alike, name)] if (alike := closest(name, unknown)) else []
-            meant = (name, _HISTOGRAM)
-            pairs += [(c, n) for c in unknown for n in meant if c.lower() in _ALSO.get(n, ())]
+            also = {c: n for n in (_HISTOGRAM, name) for c in unknown if c in _ALSO.get(n, ())}
+            pairs += also.items()
             guess = "is it {}? Then write {}".format(*pairs[0]) if pairs else _HEADERS
             raise refusal(f"there is no column {name}", guess)
     for position, name in enumerate(columns):

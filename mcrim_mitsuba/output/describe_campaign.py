@@ -472,9 +472,7 @@ def explanation_tables(diagnosis: Diagnosis) -> list[Table]:
 
 def explanation_pieces(diagnosis: Diagnosis) -> list[Piece]:
     """What columns of explanations mean, families of effects, and what is alike."""
-    families = (
-        f"By family, sets of two counted in both: {sentences.family_probabilities(diagnosis)}"
-    )
+    families = f"By family (of two in both): {sentences.family_probabilities(diagnosis)}"
     return [
         _LEGEND_OF_EXPLANATIONS if diagnosis.candidates else "",
         families if diagnosis.families else "",

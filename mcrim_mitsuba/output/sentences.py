@@ -238,16 +238,16 @@ def averaged_yield(diagnosis: Diagnosis) -> str:
 
 def shares_text(diagnosis: Diagnosis) -> str:
     """What the readings leave probable, nothing and no catalogue's among it: of 100 % in all."""
-    percents, words = 0.0, []
+    percents: dict[str, float] = {}
     for name, p in diagnosis.probabilities.items():
-        if name == OTHERS or (p < 0.01 and name not in NO_EFFECTS):
-            continue
-        rounded = round(100.0 * p, 0 if p >= 0.0095 else 1)
-        percents += rounded
-        what = NO_EFFECTS.get(name) or " with ".join(titles_of(diagnosis, name.split(" + ")))
-        words.append(f"{what} {rounded:g} %")
-    left = round(100.0 - percents, 1)
-    return f"Of 100 %: {', '.join([*words, *([f'all else {left:g} %'] if left > 0.0 else [])])}."
+        if name != OTHERS and (p >= 0.01 or name in NO_EFFECTS):
+            what = NO_EFFECTS.get(name) or " with ".join(titles_of(diagnosis, name.split(" + ")))
+            percents[what] = round(100.0 * p, 0 if p >= 0.0095 else 1)
+    left = round(100.0 - sum(percents.values()), 1)
+    # less than nothing is rounding
+    what = "all else" if left > 0.0 else next(iter(percents))
+    percents[what] = percents.get(what, 0.0) + left
+    return f"Of 100 %: {', '.join(f'{what} {percent:g} %' for what, percent in percents.items())}."
 
 
 def family_probabilities(diagnosis: Diagnosis) -> str:
@@ -307,10 +307,8 @@ def mistakable(diagnosis: Diagnosis) -> str:
     if len(shown) < len(others):
         alternatives.append(f"{len(others) - len(shown)} others")
     words = in_words(diagnosis, leading_effects)
-    itself = "each other and for " if len(leading) > 1 else ""
-    return (
-        f"By these readings {words} could be mistaken for {itself}{together(alternatives, 'or')}."
-    )
+    words += f" could be mistaken for {'each other and for ' if len(leading) > 1 else ''}"
+    return f"By these readings {words}{together(alternatives, 'or')}."
 
 
 def told_apart(diagnosis: Diagnosis, measurement: NextMeasurement) -> list[str]:

@@ -220,12 +220,8 @@ def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
     """Rotations whose axis is not a unit vector: Mitsuba shears and scales with them."""
     problems = []
     for element in file.root.iter("rotate"):
-        path, line = file.place_of(element)
         written = element.get("value", "").replace(",", " ").split()
-        axis = [
-            parse_number("a rotation's axis", number, path=path, line=line)
-            for number in written or (element.get(name, "0") for name in "xyz")
-        ]
+        axis = [float(number) for number in written or (element.get(n, "0") for n in "xyz")]
         length = math.hypot(*axis)
         if abs(length - 1.0) > 1e-4:
             unit = [value / length for value in axis] if length else [0.0, 0.0, 1.0]
@@ -233,7 +229,7 @@ def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
             what = f"the axis of this <rotate> has the length {length:.4g}"
             text = f"{what}: Mitsuba would distort the shape"
             mend = f"give it the length 1: {mended}"
-            problems.append(SceneProblem("value", text, mend, path, line))
+            problems.append(SceneProblem("value", text, mend, *file.place_of(element)))
     return problems
 
 
@@ -269,10 +265,9 @@ def _problems_of_dielectric(file: SceneFile, element: Node, shape: str) -> list[
             text = f"{who} does not say its {side}: Mitsuba would take {default}"
             mend = f'write <float name="{side}" value="..."/> (1.0 for air)'
             names = {e.get("name", ""): e for e in element.elements}
-            written = closest(side, names.keys() - {"int_ior", "ext_ior"})
-            if written is not None:
-                text, mend = f"{who} has no {written}", f"did you mean {side}?"
-            place = file.place_of(element if written is None else names[written])
+            if slip := closest(side, names.keys() - {"int_ior", "ext_ior"}):
+                text, mend = f"{who} knows no {slip}", f"did you mean {side}?"
+            place = file.place_of(names[slip] if slip else element)
             problems.append(SceneProblem("index", text, mend, *place))
             continue
         if index.tag != "float":

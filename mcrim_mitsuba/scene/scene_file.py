@@ -185,13 +185,9 @@ class SceneFile:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the reader must know of the scene before using numbers that rest on it."""
-        unused = [
-            (name, "is declared but never used: changing it would change nothing")
-            for name in self.defaults
-            if name in self.unused
-        ]
+        useless = "is declared but never used: changing it would change nothing"
         notes = []
-        for name, text in (*unused, *doubts(self.parameters)):
+        for name, text in (*((n, useless) for n in self.unused), *doubts(self.parameters)):
             default = self.defaults[name]
             place = f" of {default.path.name}, line {default.line},"
             notes.append(f"{name}{'' if name in self.overrides else place} {text}")
@@ -390,11 +386,10 @@ class _Assembly:
         if is_readable(tag, key, element.get(key, "")):
             return
         name = element.get("name") if key == "value" else None
-        what, given = name or f"{key} of <{tag}>", False
+        what, given = name or f"{key} of <{tag}>", written.removeprefix("$") in self.changed
         if written[:1] == "$" and (default := self.defaults.get(written[1:])) is not None:
-            what, given = default.name, default.name in self.changed
-            place = {"path": default.path, "line": default.line}
-            place = {"path": self.path} if given else place
+            what, place = default.name, {"path": default.path, "line": default.line}
+        place = {"path": self.path} if given else place
         refuse_misread(tag, key, what, element.get(key, ""), given=given, **place)
 
     def declare(

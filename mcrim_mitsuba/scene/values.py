@@ -235,21 +235,16 @@ _NUMBERS: dict[str, tuple[str, ...]] = {
 def refuse_misread(
     tag: str, attribute: str, what: str, text: str, *, given: bool = False, **place: Any
 ) -> None:
-    """Refuse what Mitsuba could not read in such an attribute of a scene's element.
-
-    Parameters as for `parse_number`. Raises InputError for what is no number, or neither true nor
-    false, where one is needed, and for blanks at the ends that are no spaces.
-    """
+    """Refuse (InputError) what Mitsuba could not read there; other parameters of `parse_number`."""
     refuse_odd_blanks(what, text, **place)
     # a material where none can be named has its own refusal
     if attribute not in _NUMBERS.get(tag, ()) or SEPARATOR in text:
         return
     if tag == "boolean":
         parse_like(what, text, True, given=given, **place)
-        return
     several = attribute == "value" and "x" in _NUMBERS[tag]
     for number in text.replace(",", " ").split() if several else [text]:
-        if not NOT_FINITE.fullmatch(number.strip()):
+        if tag != "boolean" and not NOT_FINITE.fullmatch(number.strip()):
             parse_number(what, number, given=given, **place)
 
 
@@ -267,7 +262,7 @@ def refuse_odd_blanks(what: str, text: str, **place: Any) -> None:
     """Refuse (InputError) a text with blanks at its ends that look like spaces and are none."""
     if text.isascii():
         return
-    before, after = text[: len(text) - len(text.lstrip())], text[len(text.rstrip()) :]
+    before, _, after = text.partition(text.strip())
     if odd := (before + after).strip(_BLANKS):
         blank = f"{unicodedata.name(odd[0]).lower()} (U+{ord(odd[0]):04X})"
         problem = f"{what} = '{text.strip()}' has a {blank} beside it, which looks like a space"

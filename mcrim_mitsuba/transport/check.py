@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -69,8 +69,7 @@ def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckRepo
         problems = _problems_of_detector(simulation)
     path = choose_path(model, simulation.polarization)
     sentences = describe(simulation, faces, path.name)
-    notes = (*file.notes, *_notes_of_surfaces(model.surfaces))
-    return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences), notes)
+    return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences), file.notes)
 
 
 def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
@@ -261,15 +260,6 @@ def _volume_sentence(
     return text + (f"; {_emission(crystal)}" if number == crystal.volume else "")
 
 
-def _notes_of_surfaces(surfaces: Iterable[Surface]) -> Iterator[str]:
-    """What is no mistake, but seldom meant."""
-    if rough := [s.name for s in surfaces if s.plugin == "RoughDielectric"]:
-        yield (
-            f"Mitsuba's roughdielectric loses what its facets send on to others: {', '.join(rough)}"
-            '; <bsdf type="polish"> with its alpha as roughness_alpha follows it'
-        )
-
-
 def _surface_sentences(surface: Surface) -> list[str]:
     """What a surface does besides being an interface."""
     name, radius_mm, (x, y) = surface.name, surface.aperture_radius_mm, surface.axis_mm
@@ -281,6 +271,8 @@ def _surface_sentences(surface: Surface) -> list[str]:
         f"the mask of {name} {reflected}": surface.mask_reflectance > 0,
         f"{name} {_reflects(surface)}": surface.reflectance > 0,
         f"{name} does what Mitsuba's {surface.plugin} does": surface.plugin,
+        f"{name} loses what its facets send on to others, which a polish with roughness_alpha "
+        "follows": surface.plugin == "RoughDielectric",
     }
     sentences = [sentence for sentence, holds in sentences_if.items() if holds]
     if surface.film is not None:

@@ -27,11 +27,8 @@ if TYPE_CHECKING:
 DEFAULT_PHOTONS = 2_000_000
 _PLACE = re.compile(r"(?P<file>\S+\.xml)? ?\(line (?P<line>\d+), col (?P<column>\d+)\):? ?")
 _NO_PLUGIN = re.compile(r'(?P<kind>\w+) plugin of type "(?P<type>[^"]*)": .* not found')
-_UNKNOWN_NAME = re.compile(
-    r'unreferenced propert\w+ in (?P<kind>\w+) plugin of type "(?P<type>\w+)": \w+ "(?P<name>\w+)"'
-)
-_LACKING_NAME = re.compile(
-    r'(?P<kind>\w+) plugin of type "(?P<type>\w+)".* property named "(?P<name>\w+)"'
+_NAME = re.compile(
+    r'(?P<kind>\w+) plugin of type "(?P<type>\w+)": (\w+|.* property named) "(?P<name>\w+)"'
 )
 _PLUGIN_SAYS = re.compile(
     r'failed to instantiate (?P<kind>\w+) plugin of type "(?P<type>\w+)": (\[\w+\] )?(?P<says>.+)'
@@ -309,7 +306,7 @@ def _refusal_of_names(
     """A property that a plugin does not know, or lacks, told where it is written."""
     from mcrim_mitsuba.transport.plugins import properties_of_plugins
 
-    told = _UNKNOWN_NAME.search(cause) or _LACKING_NAME.search(cause)
+    told = _NAME.search(cause)
     elements = (e for e in file.root.iter(etree.Element) if file.place_of(e) == place)
     element = next((e for e in elements if told and e.type == told["type"]), None)
     if told is None or element is None:

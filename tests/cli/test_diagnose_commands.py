@@ -210,10 +210,7 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
     named = verdict in ("missing_effect", "ambiguous")
     assert ("How to look for it, without a fit:" in lines) == named
     assert (f"- {FIRST}: Polish it again." in lines) == named
-    assert (
-        "By family, sets of two counted in both: surface 70 %, gap 29 %, nothing missing 1 %"
-        in lines
-    )
+    assert "By family (of two in both): surface 70 %, gap 29 %, nothing missing 1 %" in lines
     assert "not tried: nonlinear readout (nonlinearity): excluded" in lines
     assert ("what the readings allow" in out) == (verdict == "adequate")
     if verdict == "adequate":
@@ -351,6 +348,11 @@ def test_what_is_alike_is_named(count, alternatives):
         (
             {by.PAIR.effect: 0.995, by.SECOND: 0.005, "none": 0.0, "others": 0.0},
             "absorbing crystal surface with air bubble in the gap 100 %, nothing missing 0 %",
+        ),
+        (
+            {by.FIRST: 0.335, by.SECOND: 0.335, "unknown": 0.33, "none": 0.0},
+            "absorbing crystal surface 33 %, air bubble in the gap 34 %, something that is in no "
+            "catalogue 33 %, nothing missing 0 %",
         ),
     ],
 )
