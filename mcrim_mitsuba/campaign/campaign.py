@@ -171,12 +171,9 @@ class Campaign:
         """What the reader must know of scene, effects and raw data before using the numbers."""
         notes = [*self.scene.notes, *self.executed]
         typed = [self.light_yield, *self.measurements.readings]
-        energies = {of.energy_keV for of in typed if of is not None and of.energy_keV is not None}
-        notes += [
-            f"energy_keV = {energy:g}: is it in MeV? Then write {1e3 * energy:g}"
-            for energy in sorted(energies)
-            if energy < LEAST_USUAL_KEV
-        ]
+        energies = (of.energy_keV for of in typed if of is not None)
+        low = {energy for energy in energies if energy and energy < LEAST_USUAL_KEV}
+        notes += [f"energy_keV = {e:g}: is it in MeV? Then write {1e3 * e:g}" for e in sorted(low)]
         if self.raw is not None:
             notes += self.raw.notes
         if self.spectrum is not None:

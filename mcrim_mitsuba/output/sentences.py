@@ -242,8 +242,10 @@ def shares_text(diagnosis: Diagnosis) -> str:
     for name, p in diagnosis.probabilities.items():
         if name != OTHERS and (p >= 0.01 or name in NO_EFFECTS):
             what = NO_EFFECTS.get(name) or " with ".join(titles_of(diagnosis, name.split(" + ")))
-            percents[what] = round(100.0 * p, 0 if p >= 0.0095 else 1)
+            percents[what] = round(100.0 * p, 0 if 0.0095 <= p <= 0.9905 else 1)
     left = round(100.0 - sum(percents.values()), 1)
+    if not percents:
+        return ""  # too few readings
     # less than nothing is rounding
     what = "all else" if left > 0.0 else next(iter(percents))
     percents[what] = percents.get(what, 0.0) + left

@@ -347,7 +347,8 @@ def test_what_is_alike_is_named(count, alternatives):
         ),
         (
             {by.PAIR.effect: 0.995, by.SECOND: 0.005, "none": 0.0, "others": 0.0},
-            "absorbing crystal surface with air bubble in the gap 100 %, nothing missing 0 %",
+            "absorbing crystal surface with air bubble in the gap 99.5 %, nothing missing 0 %, all "
+            "else 0.5 %",
         ),
         (
             {by.FIRST: 0.335, by.SECOND: 0.335, "unknown": 0.33, "none": 0.0},
@@ -360,6 +361,8 @@ def test_the_probabilities_that_are_told_sum_to_all(probabilities, told):
     text = sentences.shares_text(replace(by.diagnosis("ambiguous"), probabilities=probabilities))
     assert text == f"Of 100 %: {told}."
     assert sum(map(float, re.findall(r"([0-9.]+) %(?!:)", text))) == pytest.approx(100.0)
+    none = replace(by.diagnosis("too_few_readings"), probabilities={})
+    assert sentences.shares_text(none) == ""
 
 
 def test_what_to_measure_next_is_named_with_its_part_of_the_error():
