@@ -171,8 +171,7 @@ class Campaign:
         """What the reader must know of scene, effects and raw data before using the numbers."""
         notes = [*self.scene.notes, *self.executed]
         typed = [self.light_yield, *self.measurements.readings]
-        energies = (of.energy_keV for of in typed if of is not None)
-        low = {energy for energy in energies if energy and energy < LEAST_USUAL_KEV}
+        low = {e for of in typed if of and (e := of.energy_keV) and e < LEAST_USUAL_KEV}
         notes += [f"energy_keV = {e:g}: is it in MeV? Then write {1e3 * e:g}" for e in sorted(low)]
         if self.raw is not None:
             notes += self.raw.notes

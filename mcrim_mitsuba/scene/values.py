@@ -260,11 +260,9 @@ def is_readable(tag: str, attribute: str, text: str) -> bool:
 
 def refuse_odd_blanks(what: str, text: str, **place: Any) -> None:
     """Refuse (InputError) a text with blanks at its ends that look like spaces and are none."""
-    if text.isascii():
-        return
-    before, _, after = text.partition(text.strip())
+    before, after = text[: len(text) - len(text.lstrip())], text[len(text.rstrip()) :]
     if odd := (before + after).strip(_BLANKS):
-        blank = f"{unicodedata.name(odd[0]).lower()} (U+{ord(odd[0]):04X})"
+        blank = f"{unicodedata.name(odd[0], 'blank').lower()} (U+{ord(odd[0]):04X})"
         problem = f"{what} = '{text.strip()}' has a {blank} beside it, which looks like a space"
         raise InputError(problem, "delete it", **place)
 

@@ -310,15 +310,24 @@ def test_whose_convention_a_campaign_has(folder, scenes):
     assert read_campaign(scenes / "camoo4_three.toml").convention is None
 
 
-def with_yield(scenes, folder, entries="", scene=lambda text: text):
+def with_yield(scenes, folder, entries="", scene=lambda text: text, energy="59.5"):
     """The article's campaign by this package's conventions, with more in its [light_yield]."""
     for name in ("camoo4_measured.csv", "camoo4.xml"):
         (folder / name).write_text((scenes / name).read_text())
     (folder / "camoo4.xml").write_text(scene((scenes / "camoo4.xml").read_text()))
     text = (scenes / "camoo4_campaign.toml").read_text()
-    without = text.replace(CONVENTION_LINE, "")
+    without = text.replace(CONVENTION_LINE, "").replace("keV = 59.5", f"keV = {energy}")
     assert without != text
     return campaign(folder, without + entries)
+
+
+def test_an_energy_in_mev_is_doubted(folder, scenes):
+    def energy_of(keV):
+        return with_yield(scenes, folder, energy=keV).notes
+
+    told = "energy_keV = 0.662: is it in MeV? Then write 662"
+    assert told in energy_of("0.662")
+    assert not any("MeV" in note for note in energy_of("59.5"))
 
 
 CONVENTION_LINE = 'convention = "article"                # its own conventions and physics\n'
