@@ -37,6 +37,7 @@ from mcrim_mitsuba.core.numbers import (
     ALPHA_SCAT,
     COEFFICIENTS,
     COUNTED,
+    LEAST_USUAL_KEV,
     Value,
     judge,
     value_text,
@@ -169,6 +170,9 @@ class Campaign:
     def notes(self) -> tuple[str, ...]:
         """What the reader must know of scene, effects and raw data before using the numbers."""
         notes = [*self.scene.notes, *self.executed]
+        typed = [self.light_yield, *self.measurements.readings]
+        low = {e for of in typed if of and (e := of.energy_keV) and e < LEAST_USUAL_KEV}
+        notes += [f"energy_keV = {e:g}: is it in MeV? Then write {1e3 * e:g}" for e in sorted(low)]
         if self.raw is not None:
             notes += self.raw.notes
         if self.spectrum is not None:

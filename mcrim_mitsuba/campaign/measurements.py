@@ -22,6 +22,12 @@ _MOST_ROWS = 10_000
 _MOST_COLUMNS = 1000
 _NUMBERS = ("signal", "sigma")
 _HISTOGRAM = "histogram"
+#: What columns are called elsewhere.
+_ALSO = {
+    "signal": ("counts", "light", "light_yield", "value"),
+    "sigma": ("err", "error", "std", "uncertainty"),
+    _HISTOGRAM: ("hist", "spectrum"),
+}
 _WINDOW = ("window_low", "window_high")
 #: Columns that hold no numbers.
 _TEXTS = ("label", "histogram", "group", "kind", "sample", "shared")
@@ -232,8 +238,11 @@ def _check_header(columns: list[str], others: Iterable[str], path: Path, line: i
     numbers = _NUMBERS if not raw or any(name in columns for name in _NUMBERS) else ()
     for name in ("label", *numbers):
         if name not in columns:
-            alike = closest(name, (other for other in columns if other not in _FORMAT))
-            guess = f"is it {alike}? Then write {name}" if alike else _HEADERS
+            unknown = [column for column in columns if column not in _FORMAT]
+            pairs = [(alike, name)] if (alike := closest(name, unknown)) else []
+            also = {c: n for n in (_HISTOGRAM, name) for c in unknown if c in _ALSO.get(n, ())}
+            pairs += also.items()
+            guess = "is it {}? Then write {}".format(*pairs[0]) if pairs else _HEADERS
             raise refusal(f"there is no column {name}", guess)
     for position, name in enumerate(columns):
         if not name:

@@ -331,6 +331,11 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **lists
     # a name without an ending tells of no other format
     endings = _TABLES if path and Path(path).suffix else ()
     written = {"--output": (path, endings)} if path else {}
+    if figure and path:
+        from mcrim_mitsuba.output.figure_style import numbers_beside
+
+        # the same numbers: the table takes their place
+        written = {} if numbers_beside(figure) == Path(path) else written
     file = mcrim.read_scene(scene, overrides)
     showing.refuse_places(json_file, [file, *spectra], figure, written=written)
     if figure:
@@ -345,6 +350,7 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **lists
     screen.line("; ".join(in_words))
     with work.begin() as run:
         tabulated = mcrim.table(file, run=run, method=method, **lists)
+    drawn = tabulated.draw(figure) if figure else ()
     if path and path.lower().endswith(".nc"):
         from mcrim_mitsuba.output.codec import netcdf_bytes
 
@@ -355,7 +361,7 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **lists
     description = describe_scene.of_table(tabulated, written=path)
     if path in STDOUT:
         screen.say(description.spent)  # unlike the JSON, the CSV has no place for it
-    showing.show(screen, description, tabulated.draw(figure) if figure else ())
+    showing.show(screen, description, drawn)
 
 
 def _abbreviated(values: list[float] | list[str]) -> str:

@@ -110,13 +110,17 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
     """Phrase for the second half of an `InputError` about an unknown name, as typed.
 
     ``did you mean n_gap? Known are: gap_mm, n_gap``, in the order of `names`; without the guess if
-    nothing comes close.
+    nothing comes close. A word of a name, such as ``height``, stands for the first that has it.
     """
     names = list(names)
     if not names:
         return "there are no names to choose from"
     listing = f"nown are: {', '.join(names)}"
     guess = closest(name, names)
+    if guess is None and len(name) <= _LONGEST_NAME:
+        words = {word: whole for whole in names[::-1] for word in whole.split("_")}
+        long_words = [word for word in words if len(word) > 3]
+        guess = words.get("".join(difflib.get_close_matches(name, long_words, 1, 0.8)))
     return f"did you mean {guess}? K{listing}" if guess else f"k{listing}"
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import numbers
 import re
+from collections.abc import Iterator, Mapping
 from decimal import Decimal
 from typing import Any
 
@@ -101,6 +102,8 @@ def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> 
     if not NUMBER.fullmatch(stripped) or not math.isfinite(float(stripped)):
         problem = f"{as_said(what, stripped, given)} is not a finite number"
         mend = "write a plain number such as 1.46, without a unit"
+        if NUMBER.fullmatch(percents := stripped.removesuffix("%").strip()) and "%" in stripped:
+            mend = f"write a fraction: {float(percents) / 100.0:g}"
         raise InputError(problem, mend + (_MATERIAL if _INDEX.search(what) else ""), **place)
     number = float(stripped)
     if number and not SMALLEST <= abs(number) <= LARGEST:
@@ -174,6 +177,13 @@ SHORTEST_GAP_MM = 1e-3
 LONGEST_GAP_MM = 10.0
 #: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
 LARGEST_PER_CM = 100.0
+# Beyond these a value is possible, but seldom meant: it gets a note.
+#: Gaps and films (mm) are of 0.01 to 0.5, and 1 or 2 where air is left on purpose.
+WIDEST_USUAL_GAP_MM = 3.0
+#: No crystal's light yield is measured with less (keV); MeV are the likely unit.
+LEAST_USUAL_KEV = 1.0
+#: Light that turns after a third of a millimetre (1/cm) is in milk glass or powder, not a crystal.
+LARGEST_USUAL_PER_CM = 30.0
 #: Scene parameter: where along the crystal light is born, above its bottom.
 SOURCE_Z = "source_z_mm"
 #: In names of what is thin by nature.
@@ -224,6 +234,21 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
     if name.endswith("reflectance") and not 0.0 <= value <= 1.0:
         return "value", "a reflectance lies between 0 and 1", "give a fraction, not percent"
     return None
+
+
+def doubts(parameters: Mapping[str, Value]) -> Iterator[tuple[str, str]]:
+    """Names of scene parameters whose values are hardly meant, with what is odd of each."""
+    sizes = {name: float(v) for name, v in parameters.items() if isinstance(v, int | float)}
+    radius, window = sizes.get("aperture_radius_mm", 0.0), sizes.get("window_width_mm", math.inf)
+    for name, value in sizes.items():
+        thin = name.endswith("_mm") and ("gap" in name or "film" in name)
+        usual = WIDEST_USUAL_GAP_MM if thin else math.inf
+        usual = LARGEST_USUAL_PER_CM if name in COEFFICIENTS else usual
+        if value > usual:
+            yield name, f"is {value:g}, seldom more than {usual:g}: is it meant in {unit_of(name)}?"
+    if radius > window:
+        text = f"is {radius:g} mm: such a mask covers nothing of a window {window:g} mm wide"
+        yield "aperture_radius_mm", text
 
 
 def _judge_length(name: str, value: float) -> tuple[str, str, str] | None:

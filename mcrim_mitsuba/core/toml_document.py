@@ -17,6 +17,7 @@ from mcrim_mitsuba.core.numbers import parse_number
 _LIMIT_MB = 1
 _POSITION = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 _TABLE = re.compile(r"\s*\[\[?([^\]]+)\]")
+_PERCENT = re.compile(r"[^=#\"']*=\s*(\d+(?:\.\d+)?)\s*%")
 #: An entry whose number has a unit.
 _WITH_UNIT = re.compile(
     r"[ \t]*[\w.-]+[ \t]*=[ \t]*([+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)"
@@ -138,6 +139,8 @@ def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
         number = int(line) if line else len(text.rstrip().split("\n"))
         unit = _WITH_UNIT.fullmatch(text.split("\n")[number - 1])
         mend = 'entries are name = value, text in "quotes", decimals with a point'
+        if percents := _PERCENT.match(text.split("\n")[number - 1]):
+            mend = f"write a fraction: {float(percents[1]) / 100.0:g}"
         raise InputError(
             f"not TOML: {_POSITION.sub('', str(error))}",
             f"write {unit[1]}, without a unit" if unit else mend,

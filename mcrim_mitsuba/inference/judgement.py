@@ -281,7 +281,7 @@ class Judgement:
     def _titles(self, leading: tuple[tuple[str, ...], ...]) -> str:
         """What leads, in words; of many the likeliest: the ranking has them all."""
         *first, last = map(self.explanations.title, leading)
-        if len(leading) > JUDGING.most_named:
+        if len(leading) > JUDGING.most_named + 1:
             first, last = first[: JUDGING.most_named], f"{len(leading) - JUDGING.most_named} others"
         return f"{', '.join(first)} and {last}" if first else last
 

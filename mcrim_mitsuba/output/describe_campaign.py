@@ -286,8 +286,9 @@ def of_comparison(comparison: results.ComparisonResult) -> Description:
     """Readings beside predictions, what chi2 says, and where the misfit lies."""
     return described(
         "a campaign beside its model",
+        strong(sentences.quality(comparison)),
         compared_readings(comparison),
-        misfit_pieces(comparison),
+        misfit_pieces(comparison)[1:],
         parameters_table(comparison.parameters),
         **_spent(comparison),
     )
@@ -471,7 +472,7 @@ def explanation_tables(diagnosis: Diagnosis) -> list[Table]:
 
 def explanation_pieces(diagnosis: Diagnosis) -> list[Piece]:
     """What columns of explanations mean, families of effects, and what is alike."""
-    families = f"By family: {sentences.family_probabilities(diagnosis)}"
+    families = f"By family (of two in both): {sentences.family_probabilities(diagnosis)}"
     return [
         _LEGEND_OF_EXPLANATIONS if diagnosis.candidates else "",
         families if diagnosis.families else "",
@@ -567,15 +568,16 @@ def proposals_table(diagnosis: Diagnosis) -> Table:
 
 
 def of_diagnosis(diagnosis: results.DiagnosisResult) -> Description:
-    """The averaged yield, the verdict, effects as explanations, limits, what to measure next."""
+    """The verdict, the averaged yield, effects as explanations, limits, what to measure next."""
     next_for_average = sentences.next_for_average(diagnosis)
     if diagnosis.next_measurements:  # by another name than the table of further readings
         beginning = "^What to (measure|simulate) next:"
         next_for_average = re.sub(beginning, "Largest part of the error:", next_for_average)
     return described(
         "what explains a campaign's misfit",
-        strong(sentences.averaged_yield(diagnosis)),
         strong(sentences.headline(diagnosis)),
+        sentences.shares_text(diagnosis),
+        strong(sentences.averaged_yield(diagnosis)),
         f"Without any effect {sentences.quality(diagnosis.baseline)}.",
         suspects_pieces(diagnosis.suspect_readings),
         (_brief(given, diagnosis) for given in explanation_tables(diagnosis)),

@@ -43,6 +43,7 @@ from mcrim_mitsuba.inference.plan import (
 )
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P
+from mcrim_mitsuba.inference.weighing import OTHERS
 from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget, contribution
 
 if TYPE_CHECKING:
@@ -235,8 +236,24 @@ def averaged_yield(diagnosis: Diagnosis) -> str:
     )
 
 
+def shares_text(diagnosis: Diagnosis) -> str:
+    """What the readings leave probable, nothing and no catalogue's among it: of 100 % in all."""
+    percents: dict[str, float] = {}
+    for name, p in diagnosis.probabilities.items():
+        if name != OTHERS and (p >= 0.01 or name in NO_EFFECTS):
+            what = NO_EFFECTS.get(name) or " with ".join(titles_of(diagnosis, name.split(" + ")))
+            percents[what] = round(100.0 * p, 0 if 0.0095 <= p <= 0.9905 else 1)
+    left = round(100.0 - sum(percents.values()), 1)
+    if not percents:
+        return ""  # too few readings
+    # less than nothing is rounding
+    what = "all else" if left > 0.0 else next(iter(percents))
+    percents[what] = percents.get(what, 0.0) + left
+    return f"Of 100 %: {', '.join(f'{what} {percent:g} %' for what, percent in percents.items())}."
+
+
 def family_probabilities(diagnosis: Diagnosis) -> str:
-    """``surface 91 %, housing 4 %; others < 0.1 % each``."""
+    """``surface 91 %, housing 4 %; others < 0.1 % each``; a set of two families is in both."""
     probabilities = {
         likely.family: probability(likely.probability)
         for likely in diagnosis.families
@@ -278,26 +295,22 @@ def capability_text(result: Diagnosis | Planning, readings: str = "such readings
 def mistakable(diagnosis: Diagnosis) -> str:
     """What the leading effects, all together, could be mistaken for, in a sentence; or nothing.
 
-    Where these are too many to be named, those of one family are counted: ``surface (3)``.
+    The likeliest are named, and how many there are besides.
     """
     leading, leading_effects = leading_candidates(diagnosis), _leading_effects(diagnosis)
     mimics = dict.fromkeys(name for candidate in leading for name in candidate.mimics)
-    others = [name for name in mimics if name not in leading_effects]
+    likeliest_first = dict.fromkeys((*(c.effect for c in diagnosis.candidates), *mimics))
+    others = [name for name in likeliest_first if name in mimics and name not in leading_effects]
     if not others:
         return ""
-    families: dict[str, list[str]] = {}
-    for candidate in diagnosis.candidates if len(others) > MOST_NAMED else ():
-        if candidate.effect in others:
-            families.setdefault(candidate.family, []).append(candidate.effect)
-    several = {name: effects for name, effects in families.items() if len(effects) > 1}
-    in_families = {name for effects in several.values() for name in effects}
-    alternatives = ["each other"] if len(leading) > 1 else []
-    alternatives += titles_of(diagnosis, [name for name in others if name not in in_families])
-    if several:
-        counts = (f"{name} ({len(effects)})" for name, effects in several.items())
-        alternatives.append(f"one of {', '.join(counts)}")
+    # a few more are named, too
+    shown = others if len(others) <= MOST_NAMED + 2 else others[:MOST_NAMED]
+    alternatives = titles_of(diagnosis, shown)
+    if len(shown) < len(others):
+        alternatives.append(f"{len(others) - len(shown)} others")
     words = in_words(diagnosis, leading_effects)
-    return f"By these readings {words} could be mistaken for {together(alternatives, 'or')}."
+    words += f" could be mistaken for {'each other and for ' if len(leading) > 1 else ''}"
+    return f"By these readings {words}{together(alternatives, 'or')}."
 
 
 def told_apart(diagnosis: Diagnosis, measurement: NextMeasurement) -> list[str]:

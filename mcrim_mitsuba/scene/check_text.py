@@ -9,7 +9,9 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from lxml import etree
+
+from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.numbers import (
     ALL_DETECTORS,
     COUNTED,
@@ -164,8 +166,15 @@ def problems_of_text(file: SceneFile) -> list[SceneProblem]:
 
 
 def _problems_of_words(file: SceneFile) -> list[SceneProblem]:
-    """Elements and attributes that Mitsuba does not know, and references to nothing."""
+    """Elements that Mitsuba does not know, or not there, ids of two, references to nothing."""
     slips = [(e, *slip) for e in file.root.iterdescendants() if (slip := misspelt(e)) is not None]
+    first: dict[str, Node] = {}
+    for element in file.root.iter(etree.Element):
+        name = element.get("id", "") if element.tag not in ("ref", "alias") else ""
+        if name and (other := first.setdefault(name, element)) is not element:
+            path, line = file.place_of(other)
+            text = f"the id {name!r} is given a second time (first on line {line} of {path.name})"
+            slips.append((element, text, "an id is of one element: write another"))
     return [
         SceneProblem("file", text, mend, *file.place_of(element))
         for element, text, mend in (*slips, *misled(file.parts))
@@ -211,12 +220,8 @@ def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
     """Rotations whose axis is not a unit vector: Mitsuba shears and scales with them."""
     problems = []
     for element in file.root.iter("rotate"):
-        path, line = file.place_of(element)
         written = element.get("value", "").replace(",", " ").split()
-        axis = [
-            parse_number("a rotation's axis", number, path=path, line=line)
-            for number in written or (element.get(name, "0") for name in "xyz")
-        ]
+        axis = [float(number) for number in written or (element.get(n, "0") for n in "xyz")]
         length = math.hypot(*axis)
         if abs(length - 1.0) > 1e-4:
             unit = [value / length for value in axis] if length else [0.0, 0.0, 1.0]
@@ -224,7 +229,7 @@ def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
             what = f"the axis of this <rotate> has the length {length:.4g}"
             text = f"{what}: Mitsuba would distort the shape"
             mend = f"give it the length 1: {mended}"
-            problems.append(SceneProblem("value", text, mend, path, line))
+            problems.append(SceneProblem("value", text, mend, *file.place_of(element)))
     return problems
 
 
@@ -250,12 +255,20 @@ def _problems_of_dielectric(file: SceneFile, element: Node, shape: str) -> list[
     """Indices of a dielectric that the scene does not write, or that no medium has."""
     who = f"bsdf {element.get('id')!r}" if element.get("id") else f"the bsdf of {shape}"
     problems = []
+    if element.type == "roughdielectric" and element.named("alpha") is None:
+        text = f"{who} is a roughdielectric without alpha: Mitsuba would take 0.1"
+        mend = 'write <float name="alpha" value="..."/>, or type="dielectric" for a polished face'
+        problems.append(SceneProblem("surface", text, mend, *file.place_of(element)))
     for side, default in (("int_ior", "1.5046"), ("ext_ior", "1.000277")):
         index = element.named(side)
         if index is None:
             text = f"{who} does not say its {side}: Mitsuba would take {default}"
             mend = f'write <float name="{side}" value="..."/> (1.0 for air)'
-            problems.append(SceneProblem("index", text, mend, *file.place_of(element)))
+            names = {e.get("name", ""): e for e in element.elements}
+            if slip := closest(side, names.keys() - {"int_ior", "ext_ior"}):
+                text, mend = f"{who} knows no {slip}", f"did you mean {side}?"
+            place = file.place_of(names[slip] if slip else element)
+            problems.append(SceneProblem("index", text, mend, *place))
             continue
         if index.tag != "float":
             continue

@@ -20,9 +20,17 @@ from lxml import etree
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import BYTES_PER_MB, is_there, look_around, read_bytes, resolved
-from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
+from mcrim_mitsuba.core.numbers import Value, doubts, unit_of, value_text
 from mcrim_mitsuba.scene.shipped import scene_path
-from mcrim_mitsuba.scene.values import MaterialIndex, parse_like, parse_material, parse_value
+from mcrim_mitsuba.scene.values import (
+    MaterialIndex,
+    is_readable,
+    parse_like,
+    parse_material,
+    parse_value,
+    refuse_misread,
+    refuse_odd_blanks,
+)
 from mcrim_mitsuba.scene.xml_tree import Node, SceneParts, comment_of, misspelt, parse_scene_xml
 
 _LIMIT_MB = 5
@@ -177,12 +185,13 @@ class SceneFile:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the reader must know of the scene before using numbers that rest on it."""
-        return tuple(
-            f"{name} of {default.path.name}, line {default.line}, is declared but never used: "
-            "changing it would change nothing"
-            for name, default in self.defaults.items()
-            if name in self.unused
-        )
+        useless = "is declared but never used: changing it would change nothing"
+        notes = []
+        for name, text in (*((n, useless) for n in self.unused), *doubts(self.parameters)):
+            default = self.defaults[name]
+            place = f" of {default.path.name}, line {default.line},"
+            notes.append(f"{name}{'' if name in self.overrides else place} {text}")
+        return tuple(notes)
 
     @property
     def unwritten_text(self) -> str | None:
@@ -362,6 +371,7 @@ class _Assembly:
             for key, text in child.items():
                 if "$" in text:
                     child.set(key, self.substitute(text, place))
+                self.refuse_misread(child, key, text, place)
             if tag == "include":
                 self.include(child, chain, place)
             elif len(child):
@@ -369,6 +379,18 @@ class _Assembly:
         # only now: the comments of later defaults are found through their neighbours
         for child in defaults:
             parent.remove(child)
+
+    def refuse_misread(self, element: Node, key: str, written: str, place: dict[str, Any]) -> None:
+        """Refuse a value that Mitsuba could not read, at the place where somebody wrote it."""
+        tag = str(element.tag)
+        if is_readable(tag, key, element.get(key, "")):
+            return
+        name = element.get("name") if key == "value" else None
+        what, given = name or f"{key} of <{tag}>", written.removeprefix("$") in self.changed
+        if written[:1] == "$" and (default := self.defaults.get(written[1:])) is not None:
+            what, place = default.name, {"path": default.path, "line": default.line}
+        place = {"path": self.path} if given else place
+        refuse_misread(tag, key, what, element.get(key, ""), given=given, **place)
 
     def declare(
         self, element: Node, declared: dict[str, int | None], place: dict[str, Any]
@@ -384,6 +406,7 @@ class _Assembly:
             problem = f"{name} is declared a second time (first on line {declared[name]})"
             raise InputError(problem, "keep one of the two", **place)
         declared[name] = element.sourceline
+        refuse_odd_blanks(name, raw, **place)
         text = self.substitute(raw, place)
         named = self.material_in(name, text, **place)
         if named is not None:

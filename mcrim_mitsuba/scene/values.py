@@ -6,7 +6,9 @@ An index may be given by a material's name: ``BK7@540nm``, ``CaMoO4@band.csv``,
 
 from __future__ import annotations
 
+import functools
 import re
+import unicodedata
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
@@ -217,6 +219,52 @@ def parse_like(name: str, text: str, example: Value, *, given: bool = False, **p
         return named.value
     number = parse_number(name, text, given=given, **place)
     return int(number) if isinstance(example, int) and number.is_integer() else number
+
+
+#: Blanks that Mitsuba passes over.
+_BLANKS = " \t\r\n"
+_AXES = ("value", "x", "y", "z")
+#: Attributes that hold numbers, by element.
+_NUMBERS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("boolean", "float", "integer"), ("value",)),
+    **dict.fromkeys(("point", "scale", "translate", "vector"), _AXES),
+    "rotate": ("angle", *_AXES),
+}
+
+
+def refuse_misread(
+    tag: str, attribute: str, what: str, text: str, *, given: bool = False, **place: Any
+) -> None:
+    """Refuse (InputError) what Mitsuba could not read there; other parameters of `parse_number`."""
+    refuse_odd_blanks(what, text, **place)
+    # a material where none can be named has its own refusal
+    if attribute not in _NUMBERS.get(tag, ()) or SEPARATOR in text:
+        return
+    if tag == "boolean":
+        parse_like(what, text, True, given=given, **place)
+    several = attribute == "value" and "x" in _NUMBERS[tag]
+    for number in text.replace(",", " ").split() if several else [text]:
+        if tag != "boolean" and not NOT_FINITE.fullmatch(number.strip()):
+            parse_number(what, number, given=given, **place)
+
+
+@functools.lru_cache(maxsize=4096)
+def is_readable(tag: str, attribute: str, text: str) -> bool:
+    """Whether `refuse_misread` lets it pass; scenes that differ in few values are read often."""
+    try:
+        refuse_misread(tag, attribute, "", text)
+    except InputError:
+        return False
+    return True
+
+
+def refuse_odd_blanks(what: str, text: str, **place: Any) -> None:
+    """Refuse (InputError) a text with blanks at its ends that look like spaces and are none."""
+    before, after = text[: len(text) - len(text.lstrip())], text[len(text.rstrip()) :]
+    if odd := (before + after).strip(_BLANKS):
+        blank = f"{unicodedata.name(odd[0], 'blank').lower()} (U+{ord(odd[0]):04X})"
+        problem = f"{what} = '{text.strip()}' has a {blank} beside it, which looks like a space"
+        raise InputError(problem, "delete it", **place)
 
 
 MOST_VALUES = 100_000

@@ -277,12 +277,25 @@ _ATTRIBUTES = {
     "spectrum": ("name", "value filename"),
     "transform": ("name", ""),
 }
+_HOLDERS = tuple(_PLUGINS.split())
+#: Elements that elements stand in, where these are not free.
+_INSIDE: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("boolean", "float", "integer", "string", "transform"), _HOLDERS),
+    **dict.fromkeys(("matrix", "rotate", "scale", "translate"), ("transform",)),
+    "bsdf": ("scene", "bsdf", "shape"),
+    "emitter": ("scene", "shape"),
+    "integrator": ("scene", "integrator"),
+    "medium": ("scene", "shape", "emitter", "sensor"),
+    "phase": ("scene", "medium", "phase"),
+    "sensor": ("scene", "shape"),
+    "shape": ("scene",),
+}
 #: Types of plugins, this package's first, by element; those that a bench can be made of.
 PLUGIN_TYPES = {
     kind: names.split()
     for kind, names in {
         "bsdf": "aperture photodetector polish conductor dielectric diffuse mask null plastic "
-        "roughconductor roughdielectric thindielectric twosided",
+        "roughconductor thindielectric twosided",
         "emitter": "scintillation collimated_beam",
         "integrator": "light_collection",
         "medium": "bulk homogeneous heterogeneous",
@@ -297,7 +310,7 @@ SIDES = ("interior", "exterior")
 
 
 def misspelt(element: etree._Element) -> tuple[str, str] | None:
-    """What is wrong with the words of one element, and how to mend it; None if nothing is."""
+    """What is wrong with the words of one element, or with its place, and how to mend it."""
     tag = str(element.tag)
     if tag not in _ATTRIBUTES:
         return f"<{tag}> is no element of a scene", did_you_mean(tag, sorted(_ATTRIBUTES))
@@ -309,6 +322,16 @@ def misspelt(element: etree._Element) -> tuple[str, str] | None:
     for name in needed:
         if name not in element.attrib:
             return f"this <{tag}> has no {name}", f'write <{tag} {name}="...">'
+    parent = element.getparent()
+    holders = _INSIDE.get(tag)
+    if parent is not None and holders is not None and parent.tag not in holders:
+        mend = "put it into what it says something of"
+        if holders is not _HOLDERS:
+            mend = f"it belongs in {' or '.join(f'<{holder}>' for holder in holders)}: move it"
+        return f"this <{tag}> stands in <{parent.tag!s}>, which has no use for it", mend
+    if (twice := element.get("name")) and tag != "default":
+        if any(e.get("name") == twice for e in element.itersiblings(preceding=True)):
+            return f"{twice} stands here a second time", "keep one of the two"
     return None
 
 

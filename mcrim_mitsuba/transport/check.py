@@ -269,6 +269,8 @@ def _surface_sentences(surface: Surface) -> list[str]:
         f"the mask of {name} {reflected}": surface.mask_reflectance > 0,
         f"{name} {_reflects(surface)}": surface.reflectance > 0,
         f"{name} does what Mitsuba's {surface.plugin} does": surface.plugin,
+        f"{name} loses what its facets send on to others, which a polish with roughness_alpha "
+        "follows": surface.plugin == "RoughDielectric",
     }
     sentences = [sentence for sentence, holds in sentences_if.items() if holds]
     if surface.film is not None:

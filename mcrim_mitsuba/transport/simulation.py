@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -9,7 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
+from lxml import etree
+
+from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Provenance, signals_wait
 from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem, problems_of_text
@@ -24,6 +27,12 @@ if TYPE_CHECKING:
 DEFAULT_PHOTONS = 2_000_000
 _PLACE = re.compile(r"(?P<file>\S+\.xml)? ?\(line (?P<line>\d+), col (?P<column>\d+)\):? ?")
 _NO_PLUGIN = re.compile(r'(?P<kind>\w+) plugin of type "(?P<type>[^"]*)": .* not found')
+_NAME = re.compile(
+    r'(?P<kind>\w+) plugin of type "(?P<type>\w+)": (\w+|.* property named) "(?P<name>\w+)"'
+)
+_PLUGIN_SAYS = re.compile(
+    r'failed to instantiate (?P<kind>\w+) plugin of type "(?P<type>\w+)": (\[\w+\] )?(?P<says>.+)'
+)
 _SOURCE = re.compile(r"\[[\w.]+\.(cpp|h):\d+\] ?")
 
 
@@ -278,13 +287,50 @@ def _refusal(text: str, file: SceneFile) -> InputError:
     if unknown := _NO_PLUGIN.search(cause):
         problem = f"there is no {unknown['kind']} of type {unknown['type']!r}"
         mend = did_you_mean(unknown["type"], PLUGIN_TYPES.get(unknown["kind"], ()))
-    return InputError(
-        problem,
-        mend,
-        path=place["file"] if place and place["file"] else file.path,
-        line=int(place["line"]) if place else None,
-        column=int(place["column"]) if place else None,
-    )
+    elif refused := _PLUGIN_SAYS.match(cause):
+        wrong, _, how = refused["says"].rstrip(".").partition("; ")
+        problem, mend = f"{_plugin_words(refused)}: {wrong}", how or mend
+    named = place["file"] if place and place["file"] else ""
+    # of a name with blanks this is the end
+    path = next((p for p in file.files if named and str(p).endswith(named)), file.path)
+    line = int(place["line"]) if place else None
+    if place and (told := _refusal_of_names(cause, file, (path, line))) is not None:
+        return told
+    column = int(place["column"]) if place else None
+    return InputError(problem, mend, path=path, line=line, column=column)
+
+
+def _refusal_of_names(
+    cause: str, file: SceneFile, place: tuple[Path, int | None]
+) -> InputError | None:
+    """A property that a plugin does not know, or lacks, told where it is written."""
+    from mcrim_mitsuba.transport.plugins import properties_of_plugins
+
+    told = _NAME.search(cause)
+    elements = (e for e in file.root.iter(etree.Element) if file.place_of(e) == place)
+    element = next((e for e in elements if told and e.type == told["type"]), None)
+    if told is None or element is None:
+        return None
+    kind, name, properties = _plugin_words(told), told["name"], properties_of_plugins()
+    proper, nameless = properties.get(told["type"], []), itertools.count()
+    # Mitsuba numbers objects without a name
+    written = {e.get("name") or f"_arg_{next(nameless)}": e for e in element.elements}
+    problem, mend = f"{kind} knows no {name}", did_you_mean(name, proper)
+    if name.startswith("_arg_"):
+        problem, mend = f"{kind} has no use for this", "take it away"
+    elif name not in written:  # but perhaps something in its place
+        problem, mend = f"this {kind} has no {name}", f'write <float name="{name}" value="..."/>'
+        if slip := closest(name, written.keys() - set(proper)):
+            problem, mend, name = f"{kind} knows no {slip}", f"did you mean {name}?", slip
+    elif closest(name, proper) is None:
+        others = [t for t in PLUGIN_TYPES.get(told["kind"], ()) if name in properties.get(t, ())]
+        mend = f'write type="{others[0]}", which knows it, or take it away' if others else mend
+    path, line = file.place_of(written.get(name, element))
+    return InputError(problem, mend, path=path, line=line)
+
+
+def _plugin_words(told: re.Match[str]) -> str:
+    return f'<{told["kind"]} type="{told["type"]}">'
 
 
 def _clean(line: str) -> str:

@@ -3,6 +3,7 @@
 import csv
 import itertools
 import math
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -184,8 +185,8 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
     found["diagnose"] = by.diagnosis(verdict)
     out = mcrim.shown("diagnose", campaign)
     lines = out.splitlines()
-    assert lines[0] == AVERAGED
-    assert lines[1] == FIRST_LINES[verdict]
+    assert lines[0] == FIRST_LINES[verdict]
+    assert lines[1].startswith("Of 100 %: ") and lines[2] == AVERAGED
     assert lines[-1].startswith(LAST_LINES[verdict])
     assert row_of(out, FIRST) == [
         FIRST,
@@ -209,7 +210,7 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
     named = verdict in ("missing_effect", "ambiguous")
     assert ("How to look for it, without a fit:" in lines) == named
     assert (f"- {FIRST}: Polish it again." in lines) == named
-    assert "By family: surface 70 %, gap 29 %, nothing missing 1 %" in lines
+    assert "By family (of two in both): surface 70 %, gap 29 %, nothing missing 1 %" in lines
     assert "not tried: nonlinear readout (nonlinearity): excluded" in lines
     assert ("what the readings allow" in out) == (verdict == "adequate")
     if verdict == "adequate":
@@ -258,7 +259,7 @@ def test_a_pair_and_suspect_readings_are_named(mcrim, campaign, found):
     pair = by.diagnosis("missing_effect", pairs=(by.PAIR,), leading_sets=((by.FIRST, by.SECOND),))
     found["diagnose"] = pair
     out = mcrim.shown("diagnose", campaign)
-    assert out.splitlines()[1].startswith(
+    assert out.splitlines()[0].startswith(
         "Absorbing crystal surface and air bubble in the gap explain the misfit "
         "(surface_absorption and gap_bubble: surface loss = 0.0100 ± 0.0010; bubble fraction = "
         "0.100 ± 0.020): chi2 64.2 -> 9.2"
@@ -315,18 +316,53 @@ def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
     )
 
 
-def test_what_is_alike_is_said_by_family():
+@pytest.mark.parametrize(
+    ("count", "alternatives"),
+    [
+        (2, "effect_0 or effect_1"),
+        (6, "effect_0, effect_1, effect_2, effect_3, effect_4 or effect_5"),
+        (7, "effect_0, effect_1, effect_2, effect_3 or 3 others"),
+    ],
+)
+def test_what_is_alike_is_named(count, alternatives):
     leading = (by.CANDIDATES[0], by.CANDIDATES[1])
-    families = {f"effect_{i}": "gap" if i < 4 else "bulk" if i < 6 else "light" for i in range(7)}
-    alike = [
-        replace(by.CANDIDATES[3], effect=n, effects=(n,), family=f) for n, f in families.items()
-    ]
-    first, second = (replace(one, mimics=tuple(families)) for one in leading)
-    found = by.diagnosis("ambiguous", candidates=(first, second, *alike))
-    assert sentences.mistakable(found) == (
+    names = [f"effect_{i}" for i in range(count)]
+    alike = [replace(by.CANDIDATES[3], effect=name, effects=(name,)) for name in names]
+    # in the order of the ranking
+    first, second = (replace(c, mimics=tuple(names[::-1])) for c in leading)
+    diagnosis = by.diagnosis("ambiguous", candidates=(first, second, *alike))
+    assert sentences.mistakable(diagnosis) == (
         "By these readings absorbing crystal surface and air bubble in the gap could be mistaken "
-        "for each other, effect_6 or one of gap (4), bulk (2)."
+        f"for each other and for {alternatives}."
     )
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "told"),
+    [
+        (
+            {by.FIRST: 0.736, by.SECOND: 0.2449, "none": 0.0, "unknown": 0.004},
+            "absorbing crystal surface 74 %, air bubble in the gap 24 %, nothing missing 0 %, "
+            "something that is in no catalogue 0.4 %, all else 1.6 %",
+        ),
+        (
+            {by.PAIR.effect: 0.995, by.SECOND: 0.005, "none": 0.0, "others": 0.0},
+            "absorbing crystal surface with air bubble in the gap 99.5 %, nothing missing 0 %, all "
+            "else 0.5 %",
+        ),
+        (
+            {by.FIRST: 0.335, by.SECOND: 0.335, "unknown": 0.33, "none": 0.0},
+            "absorbing crystal surface 33 %, air bubble in the gap 34 %, something that is in no "
+            "catalogue 33 %, nothing missing 0 %",
+        ),
+    ],
+)
+def test_the_probabilities_that_are_told_sum_to_all(probabilities, told):
+    text = sentences.shares_text(replace(by.diagnosis("ambiguous"), probabilities=probabilities))
+    assert text == f"Of 100 %: {told}."
+    assert sum(map(float, re.findall(r"([0-9.]+) %(?!:)", text))) == pytest.approx(100.0)
+    none = replace(by.diagnosis("too_few_readings"), probabilities={})
+    assert sentences.shares_text(none) == ""
 
 
 def test_what_to_measure_next_is_named_with_its_part_of_the_error():

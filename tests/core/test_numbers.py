@@ -36,6 +36,24 @@ def test_the_unit_of_a_parameter_is_the_end_of_its_name(name, unit, words, title
     assert numbers.titled(name) == title
 
 
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [
+        ({"gap_mm": 5.0}, "is 5, seldom more than 3: is it meant in mm?"),
+        ({"alpha_scat_per_cm": 54}, "is 54, seldom more than 30: is it meant in 1/cm?"),
+        (
+            {"aperture_radius_mm": 140.0, "window_width_mm": 28.0},
+            "is 140 mm: such a mask covers nothing of a window 28 mm wide",
+        ),
+        ({"gap_mm": 2.0, "alpha_abs_per_cm": 20.0, "source_depth_mm": 15.0, "film_mm": 0.1}, None),
+        ({"aperture_radius_mm": 14.0, "window_width_mm": 28.0, "gap_id": "air"}, None),
+    ],
+)
+def test_what_is_hardly_meant_is_doubted(parameters, told):
+    doubts = dict(numbers.doubts(parameters))
+    assert doubts == ({} if told is None else {next(iter(parameters)): told})
+
+
 def test_values_in_words():
     assert numbers.said("gap_mm", 0.05) == "gap 0.05 mm"
     assert numbers.said("polarization", np.bool_(False)) == "polarization off"

@@ -69,6 +69,11 @@ def test_numbers_and_paths_of_a_table(here):
     [
         ("x = 5 mm", "line 1, column 7: not TOML"),
         ("a = 1\nx = 5 mm", "write 5, without a unit"),
+        (
+            "a = 1\nx = 95 % # of it",
+            "line 2, column 8: not TOML: Expected newline or end of document "
+            "after a statement; write a fraction: 0.95",
+        ),
         ("x = ", 'entries are name = value, text in "quotes", decimals with a point'),
         ("x = 1" + "0" * 5000, "a whole number has thousands of digits"),
         (f"x = {2**70}", "line 1: x is a whole number of more than 64 bits"),

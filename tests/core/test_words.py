@@ -51,6 +51,11 @@ def test_a_misspelt_name_is_guessed_among_those_there_are():
     assert closest("n_gapp", names) == "n_gap"
     assert closest("zzz", names) is None and closest("n_gap" * 100, names) is None
     assert did_you_mean("n_gapp", names) == "did you mean n_gap? Known are: gap_mm, n_gap, n_window"
+    # a word of a name is enough
+    assert did_you_mean("windwo", names).startswith("did you mean n_window?")
+    assert did_you_mean("height", ["top_mm", "crystal_height_mm"]).startswith(
+        "did you mean crystal_height_mm?"
+    )
     assert did_you_mean("zzz", names) == "known are: gap_mm, n_gap, n_window"
     assert did_you_mean("zzz", []) == "there are no names to choose from"
 

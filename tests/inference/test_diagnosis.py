@@ -406,6 +406,7 @@ def test_a_sentence_names_some_of_many_explanations():
     leading = tuple((name,) for name in "abcdefg")
     assert Judgement._titles(judge, leading[:4]) == "a, b, c and d"
     assert Judgement._titles(judge, leading) == "a, b, c, d and 3 others"
+    assert Judgement._titles(judge, leading[:5]) == "a, b, c, d and e"
 
 
 def test_what_only_the_simulations_error_lets_lead_is_named_apart(monkeypatch):

@@ -205,6 +205,8 @@ CSV = "label,signal,sigma\n"
         (f"{CSV}{'a' * 9_000_000},1,1\n", "line 2: not a CSV line"),
         (f"{CSV}a,1,1{',' * 9_000_000}\n", "line 2: 9000003 cells under 3 columns"),
         ("label,signl,sigma\na,1,1\n", "is it signl? Then write signal"),
+        ("label,signal,error\na,1,1\n", "no column sigma; is it error? Then write sigma"),
+        ("label,hist\na,a.csv\n", "no column signal; is it hist? Then write histogram"),
         (f'{CSV}"a,1,1\n', "line 2: not a CSV line"),
         (f"{CSV}a\0b,1,1\n", "line 2: not a text file (it holds zero bytes)"),
         (f"{CSV}=cmd|' /C calc'!A0,1,1\n", "line 2, column label: spreadsheets would take"),

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from lxml import etree
-from places import SCENES, cases_of
+from places import ROOT, SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.scene import check_text, xml_tree
@@ -41,6 +41,43 @@ def test_what_is_counted_is_a_detector_of_the_scene(tmp_path):
     assert [str(problem) for problem in check_text.problems_of_counted(file)] == [told]
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "line", "says"),
+    [
+        ('"polarization" value="false"', '"polarization" value="yes"', 51, "neither true nor"),
+        ('"gap_mm" value="0.05"', '"gap_mm" value="0.05\u00a0"', 39, "a no-break space (U+00A0)"),
+        ('name="ext_ior" value="1.0"', 'name="ext_ior" value="1.0\u00a0"', 76, "no-break space"),
+    ],
+)
+def test_a_value_is_blamed_where_it_was_written(tmp_path, old, new, line, says):
+    assert old in TEXT
+    path = tmp_path / "bench.xml"
+    path.write_text(TEXT.replace(old, new, 1))
+    refused = refusal(read_scene, path)
+    assert refused.startswith(f"{path}, line {line}: ") and says in refused
+    included = tmp_path / "whole.xml"
+    included.write_text('<scene version="3.0.0"><include filename="bench.xml"/></scene>')
+    assert refusal(read_scene, included) == refused
+
+
+def test_a_value_that_was_given_is_not_blamed_on_a_line(tmp_path):
+    path = tmp_path / "bench.xml"
+    path.write_text(
+        TEXT.replace('name="polarization" value="false"', 'name="polarization" value="no"')
+    )
+    refused = refusal(read_scene, path, {"polarization": "yes"})
+    assert refused.startswith(f"{path}: the value given for polarization, 'yes', is neither true")
+    assert read_scene(path, {"polarization": "true"}).parameters["polarization"] == "true"
+
+
+SHIPPED = sorted([*SCENES.rglob("*.xml"), *(ROOT / "tests" / "trials").glob("*.xml")])
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_no_value_of_a_shipped_scene_is_doubted(path):
+    assert read_scene(path).notes == ()
+
+
 AIR = '<float name="ext_ior" value="1.0"/>'
 
 
@@ -51,6 +88,12 @@ def test_problems_are_told_with_line_and_mend(tmp_path, old, new, says):
     text = (tmp_path / "bench.xml").read_text()
     place = f"{tmp_path / 'bench.xml'}, line {text[: text.index(new)].count(chr(10)) + 1}: "
     assert any(line.startswith(place) and says in line for line in told), told
+
+
+def test_an_id_of_two_elements_is_told_with_both_places(tmp_path):
+    [told] = problems(tmp_path, ('id="crystal_top"', 'id="crystal_to_gap"'))
+    assert f"{tmp_path / 'bench.xml'}, line 109: the id 'crystal_to_gap' is given a second" in told
+    assert "(first on line 78 of bench.xml); an id is of one element: write another" in told
 
 
 def test_an_index_that_is_not_written_is_told(tmp_path):
@@ -174,7 +217,8 @@ def test_a_comment_explains_the_element_beside_or_below_it():
 
 @cases("text", "says")
 def test_words_that_mitsuba_does_not_know(text, says):
-    wrong = xml_tree.misspelt(etree.fromstring(text))
+    *_, last = etree.fromstring(text).iter()
+    wrong = xml_tree.misspelt(last)
     assert [part.split(" Known")[0] for part in wrong or ()] == says
 
 

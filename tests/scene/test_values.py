@@ -44,6 +44,17 @@ def test_what_is_of_no_kind_is_refused(reader, arguments, says):
     assert refused.startswith("bench.xml, line 3: ") and says in refused
 
 
+@cases("element", "attribute", "text", "says")
+def test_what_mitsuba_could_not_read_is_refused_in_our_words(element, attribute, text, says):
+    assert values.is_readable(element, attribute, text) == (says == "")
+    if says:
+        refused = refusal(values.refuse_misread, element, attribute, "x", text, path="b.xml")
+        assert refused.startswith("b.xml: x") and says in refused
+    else:
+        values.refuse_misread(element, attribute, "x", text)
+        values.refuse_odd_blanks("x", text)
+
+
 def test_an_index_comes_from_a_material_and_says_so():
     index = read_index("n_gap = 'BK7@540nm'", "BK7@540nm")
     assert isinstance(index, MaterialIndex)

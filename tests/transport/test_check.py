@@ -9,6 +9,7 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table import eta_table
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.xml_tree import PLUGIN_TYPES
+from mcrim_mitsuba.transport.plugins import properties_of_plugins
 from mcrim_mitsuba.transport.simulation import Simulation, check_scene
 from mcrim_mitsuba.transport.variants import use_variant
 
@@ -59,6 +60,32 @@ def test_broken_scene_is_refused_with_one_line(tmp_path, name):
     assert report.problems[0].line or kind == "file", line
     for word in words:
         assert word in line, line
+
+
+def test_a_fault_of_an_included_file_is_told_there(tmp_path):
+    folder = tmp_path / "with blanks"
+    folder.mkdir()
+    part = (
+        '<bsdf type="aperture" id="u">\n<float name="radus" value="2"/><bsdf type="null"/></bsdf>'
+    )
+    (folder / "part.xml").write_text(f'<scene version="3.0.0">\n{part}</scene>')
+    included = BENCH.replace("</scene>", '<include filename="part.xml"/></scene>')
+    (folder / "scene.xml").write_text(included)
+    (problem,) = check_scene(folder / "scene.xml").problems
+    assert (problem.path, problem.line) == (str(folder / "part.xml"), 3)
+    assert problem.mend == "did you mean radius?"
+    assert "radius" in properties_of_plugins()["aperture"]
+
+
+def test_a_rough_face_of_mitsubas_own_is_told_to_lose_light(tmp_path):
+    path = tmp_path / "scene.xml"
+    rough = '<bsdf type="roughdielectric" id="crystal_to_air"><float name="alpha" value="0.3"/>'
+    path.write_text(replaced('<bsdf type="dielectric" id="crystal_to_air">', rough))
+    report = check_scene(path, light=False)
+    assert report.ok and any(
+        word.startswith("crystal_top loses what its facets send on to others")
+        for word in report.words
+    )
 
 
 def test_types_of_plugins_that_are_proposed_exist():

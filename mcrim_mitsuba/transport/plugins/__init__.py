@@ -2,6 +2,35 @@
 
 Each module registers its plugins with the active variant of Mitsuba when it is (re)loaded."""
 
+from __future__ import annotations
+
+import re
+import sys
+
+#: Properties of Mitsuba's plugins that benches are made of, by type.
+_MITSUBAS = {
+    **dict.fromkeys(("dielectric", "thindielectric"), "int_ior ext_ior"),
+    "roughdielectric": "int_ior ext_ior alpha distribution",
+    "diffuse": "reflectance",
+    "homogeneous": "albedo sigma_t scale",
+    "hg": "g",
+    **dict.fromkeys(("cube", "disk", "rectangle"), "to_world flip_normals"),
+    "cylinder": "p0 p1 radius to_world flip_normals",
+    "sphere": "center radius to_world flip_normals",
+}
+_TYPE = re.compile(r'XML:\s+``<\w+ type="(\w+)"')
+_PROPERTIES = re.compile(r"^    (``.+``) : ", re.MULTILINE)
+
+
+def properties_of_plugins() -> dict[str, list[str]]:
+    """Names of properties by type of plugin; of this package's the loaded classes tell them."""
+    properties = {name: names.split() for name, names in _MITSUBAS.items()}
+    loaded = [m for name, m in sys.modules.items() if name.startswith(f"{__name__}.")]
+    for text in (c.__doc__ or "" for module in loaded for c in vars(module).values()):
+        if told := _TYPE.search(text):
+            properties[told[1]] = re.findall(r"``(\w+)``", " ".join(_PROPERTIES.findall(text)))
+    return properties
+
 
 def number(props, name: str, default: float, low: float = 0.0, high: float = 1.0) -> float:
     """A number of a plugin's; raises ValueError where it is out of range."""
