@@ -80,8 +80,9 @@ OWN_FITS = {
 }
 
 
-def test_every_verb_shows_the_same_fit(campaign):
+def test_every_verb_shows_the_same_fit(campaign, tmp_path, monkeypatch):
     """One campaign had one chi2 in `calibrate` and another in `compare`: 45.7 and 110.2."""
+    monkeypatch.setenv("MCRIM_CACHE", str(tmp_path / "cache"))  # as users have it
     rows = "air,14.3,0.2,1.00\ngel,24.5,0.4,1.46\noil,26.5,0.4,1.515\nwater,18.6,0.3,1.333\n"
     own = as_campaign(campaign(rows))
     tried = ("polarization", "background")
