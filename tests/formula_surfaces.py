@@ -16,7 +16,7 @@ class FormulaSurface(EfficiencySurface):
     def __init__(self, formula, relative_sigma=0.0, noise=0.0):
         self.formula, self.relative_sigma, self.factor = formula, relative_sigma, 1 + noise
 
-    def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True):
+    def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True, error=True):
         def eta(a_s, a_a):
             return self.factor * self.formula(a_s, a_a)
 

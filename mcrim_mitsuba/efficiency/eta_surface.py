@@ -92,11 +92,13 @@ class EtaSurface:
         alpha_abs_per_cm: float,
         *,
         check: bool = True,
+        error: bool = True,
     ) -> EtaPoint:
         """Efficiency, its error and its gradient at one point.
 
         Raises InputError outside the surface's range, and where its photons say too little; a
-        search that only passes through may do without this `check`.
+        search that only passes through may do without this `check`, and without the `error`, which
+        takes most of the time and is NaN then.
         """
         point = alpha_scat_per_cm, alpha_abs_per_cm
         self._refuse_out_of_range(*point)
@@ -106,7 +108,7 @@ class EtaSurface:
         absorption, by_absorption = self.grid.absorption.weights(across)
         log_eta = self.table.log_eta
         eta = math.exp(scattering @ log_eta @ absorption)
-        sigma = float(self.relative_sigmas([point])[0])
+        sigma = float(self.relative_sigmas([point])[0]) if check or error else math.nan
         if check and not sigma < _LARGEST_ERROR:
             raise InputError(
                 f"at alpha_scat_per_cm = {alpha_scat_per_cm:g}, alpha_abs_per_cm = "

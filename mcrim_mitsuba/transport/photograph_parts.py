@@ -159,7 +159,7 @@ def edges(shapes: Iterable[Triangles], radius: float) -> Triangles:
     lowest = np.ones(len(first))
     cosines = np.einsum("ij,ij->i", of_side[first[edge]], of_side)
     np.minimum.at(lowest, edge, cosines)
-    boxes = corners.min(axis=1), corners.max(axis=1)
+    boxes = corners.min(axis=1).T.copy(), corners.max(axis=1).T.copy()
     rods = []
     sharp = lowest < _SHARP
     wanted = np.flatnonzero(sharp | (sharing == 1))
@@ -179,13 +179,16 @@ def _is_rim(
 ) -> bool:
     """Whether no triangle goes on beyond an edge, as one of other corners may.
 
-    `boxes` are the lowest and highest coordinates of each triangle: few hold what is beyond.
+    `boxes` are the lowest and highest coordinates, shape (3, n), of each triangle: few hold what
+    is beyond, along one axis already.
     """
     along = ends[1] - ends[0]
     beyond = ends.mean(axis=0) + 1e-3 * np.cross(along, normal)
     apart = 1e-4 * np.linalg.norm(along)
     slack = apart / _SHARP  # along `normal`
-    held = ((boxes[0] <= beyond + slack) & (beyond - slack <= boxes[1])).all(axis=1)
+    held = np.arange(len(corners))
+    for low, high, place in zip(*boxes, beyond, strict=True):
+        held = held[(low[held] <= place + slack) & (place - slack <= high[held])]
     corners, normals = corners[held], normals[held]
     level = np.abs(np.einsum("ij,ij->i", beyond - corners[:, 0], normals))
     near = corners[(normals @ normal > _SHARP) & (level < apart)]

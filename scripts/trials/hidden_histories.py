@@ -15,7 +15,7 @@ import math
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -189,9 +189,12 @@ class Histories:
         # density lacks the factor 1 / proposals: photons of one proposal stand for those of all
         eta = sums.sum(axis=0) / photons
         variance = (squares - sums**2 / photons).sum(axis=0) / photons**2
-        # detectors are calibrated head-on
-        calibration = read_bench(bench_scene(**self.run.parameters)).head_on
-        return eta / calibration, np.sqrt(variance) / calibration
+        return eta / self._head_on, np.sqrt(variance) / self._head_on
+
+    @cached_property
+    def _head_on(self) -> float:
+        """What the detector sees of light that meets it head-on, where it is calibrated."""
+        return read_bench(bench_scene(**self.run.parameters)).head_on
 
 
 class HistoryStore:

@@ -106,11 +106,13 @@ class EfficiencySurface(Protocol):
         alpha_abs_per_cm: float,
         *,
         check: bool = True,
+        error: bool = True,
     ) -> EtaPoint:
         """Efficiency, its error and its gradient at one point.
 
         Raises InputError outside the surface's range, and where its photons say too little; a
-        search that only passes through may do without this `check`.
+        search that only passes through may do without this `check`, and without the `error`,
+        which may be NaN then.
         """
 
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
@@ -154,9 +156,10 @@ class InterpolatedSurface(EfficiencySurface):
         alpha_abs_per_cm: float,
         *,
         check: bool = True,
+        error: bool = True,
         **scene_parameters: float,
     ) -> EtaPoint:
-        points = self._at_nodes(alpha_scat_per_cm, alpha_abs_per_cm, check)
+        points = self._at_nodes(alpha_scat_per_cm, alpha_abs_per_cm, check, error)
         eta_nodes = np.array([point.eta for point in points])
         log_eta = np.log(eta_nodes)
         weights, slopes = self._weights(scene_parameters)
@@ -177,7 +180,7 @@ class InterpolatedSurface(EfficiencySurface):
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
         sides, etas = [], []
         for point in (first, second):
-            nodes = self._at_nodes(point[ALPHA_SCAT], point[ALPHA_ABS], False)
+            nodes = self._at_nodes(point[ALPHA_SCAT], point[ALPHA_ABS], False, False)
             eta_nodes = np.array([node.eta for node in nodes])
             weights, _ = self._weights({axis.name: point[axis.name] for axis in self._axes})
             sides.append(weights / eta_nodes)
@@ -188,9 +191,13 @@ class InterpolatedSurface(EfficiencySurface):
         )
         return etas[0] * etas[1] * float(relative)
 
-    def _at_nodes(self, alpha_scat: float, alpha_abs: float, check: bool) -> list[EtaPoint]:
+    def _at_nodes(
+        self, alpha_scat: float, alpha_abs: float, check: bool, error: bool
+    ) -> list[EtaPoint]:
         """The nodes' surfaces at one pair of coefficients."""
-        points = [node.evaluate(alpha_scat, alpha_abs, check=check) for node in self._nodes]
+        points = [
+            node.evaluate(alpha_scat, alpha_abs, check=check, error=error) for node in self._nodes
+        ]
         if min(point.eta for point in points) <= 0:
             names = ", ".join(axis.name for axis in self._axes)
             problem = f"in part of the range of {names} no light is detected"
@@ -315,8 +322,9 @@ class CampaignModel:
     def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
         values = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
         scale = values.pop(SCALE, self._fixed_scale)
+        error = check or covariance
         points = [
-            surface.evaluate(**values, **known, check=check and used)
+            surface.evaluate(**values, **known, check=check and used, error=error)
             for surface, known, used in self._asked
         ]
         # the scale is in no surface's gradient
@@ -333,7 +341,7 @@ class CampaignModel:
             signal=scale * eta,
             signal_slopes=scale * eta_slopes + np.outer(eta, is_scale),
             signal_per_eta=np.full(len(eta), scale),
-            eta_sigma=sigmas[self._place_of],
+            eta_sigma=sigmas[self._place_of] if error else None,
             interpolation_error=interpolation_errors[self._place_of],
             eta_errors=self._errors(sigmas, values)[self._place_of] if covariance else None,
         )

@@ -19,7 +19,8 @@ REDRAW = "const chart = document.querySelector('#readings-chart'); chart.key = '
 
 @pytest.mark.alone
 def test_a_slider_answers_at_once(browser, shared_cache, scenes, record_property):
-    with running(scenes / "camoo4_misfit.toml", shared_cache, browser) as app:
+    # as many photons as tests of the session take: these have simulated the bench and its numbers
+    with running(scenes / "camoo4_misfit.toml", shared_cache, browser, photons=16384) as app:
         for effect in ("gap_bubble", "surface_absorption", "detector_reflection"):
             app.switch_on(effect)
         browser.run(STOPWATCH)

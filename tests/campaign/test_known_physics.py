@@ -141,7 +141,7 @@ def test_an_unknown_material_is_refused_where_it_stands(campaign_of, three):
 
 def test_a_budget_does_not_list_what_is_in_the_model(campaign_of, three):
     """And puts into others what `material` puts into this one: the numbers are the same."""
-    run = Run(8192, seed=3)
+    run, three = Run(8192, seed=3), f"{three}\n[tolerances]\nnone = true\n"
     inside = budget(campaign_of(three), run=run)
     assert {piece.name for piece in inside.neglected} == {
         "crystal_index",

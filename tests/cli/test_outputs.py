@@ -59,6 +59,8 @@ def bench(here, scenes):
     """A campaign that names a file of every kind; one that everything reads is its spectrum."""
     shutil.copytree(scenes / "camoo4_raw", here / "raw")
     shutil.copytree(scenes / "own_effects", here / "own")
+    events = here / "raw/air_2.csv"  # one a line, of which a tenth do here
+    events.write_text("".join(events.read_text().splitlines(keepends=True)[:4000]))
     text = (scenes / "camoo4.xml").read_text()
     beginning = text.index("  <medium")
     (here / "part.xml").write_text(f'<scene version="3.0.0">\n{text[beginning:]}')

@@ -819,7 +819,7 @@ def test_a_coarse_interpolation_is_told(campaign):
 
 def test_where_the_fit_ends_the_simulation_must_know(campaign):
     class Ignorant(FormulaSurface):
-        def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True):
+        def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True, error=True):
             if check and alpha_scat_per_cm > 0.35:
                 raise InputError("nothing is known", "simulate more")
             return super().evaluate(alpha_scat_per_cm, alpha_abs_per_cm)

@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import json
+import logging
 import re
 import shutil
 import tomllib
@@ -57,7 +58,11 @@ class Site:
             },
         )
         application.builder.search = False  # an index of all words: nothing here asks it
-        application.build()
+        with pytest.MonkeyPatch.context() as patch:
+            # on which lines definitions end: pages of code would ask, and it takes a while
+            patch.setattr("sphinx.pycode.parser.Parser.parse_definition", lambda self: None)
+            patch.setattr(logging.root.manager, "disable", logging.DEBUG)
+            application.build()
         stubs = "\n".join(path.read_text() for path in (source / "api").glob("*.rst"))
         self.modules = set(re.findall(r"automodule:: (\S+)", stubs))
         self.complaints = complaints.getvalue()
