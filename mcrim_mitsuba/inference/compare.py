@@ -250,13 +250,13 @@ def swapped_treatments(fit: Minimum) -> list[WrongRows]:
     ]
     log_signal = np.log(np.maximum(fit.signal[fit.statistic.used], 1e-300))
 
-    def from_other(row: int, own: Sequence[int], other: Sequence[int]) -> tuple[int, float] | None:
+    def from_other(row: int, mine: Sequence[int], other: Sequence[int]) -> tuple[int, float] | None:
         """The other treatment's row for one of a treatment's own, and the factor on its reading."""
         can = [i for i in other if alike[i] == alike[row]]
         if not can:
             return None
         partner = min(can, key=lambda i: abs(place[i] - place[row]))
-        line = sorted((i for i in own if alike[i] == alike[row]), key=lambda i: place[i])
+        line = sorted((i for i in mine if alike[i] == alike[row]), key=lambda i: place[i])
         there = np.interp(place[partner], place[line], log_signal[line])
         return partner, math.exp(log_signal[row] - there)
 

@@ -86,7 +86,7 @@ def suspicious(frame: BaselineFrame) -> dict[str, WrongRows]:
     likeliest = np.sort(np.argsort(-np.abs(pulls), kind="stable")[: RIVALS.most_readings])
     wrong = [WrongRows(BAD_READING, (labels[row],), (row,)) for row in likeliest.tolist()]
     wrong += likely_swaps(frame.fit, RIVALS.most_swaps) + swapped_treatments(frame.fit)
-    return {each.name: each for each in wrong}
+    return {rows.name: rows for rows in wrong}
 
 
 def wrong_readings(frame: BaselineFrame, suspicions: Mapping[str, WrongRows]) -> list[Cause]:
