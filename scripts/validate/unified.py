@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.run import Run, processors
@@ -29,22 +30,35 @@ COEFFICIENTS = {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.001}
 CAP_MM = 1e-3
 
 
-def in_geant4(sigma_alpha: float, n_gap: float, photons: int) -> float:
-    """Eta with a ground top, in a process of its own: it can be initialised once in each."""
-    job = json.dumps({"sigma_alpha": sigma_alpha, "n_gap": n_gap, "photons": photons})
+def in_geant4(script: str, photons: int, **job: Any) -> float:
+    """Part detected where a script does its `work`, in a process of its own.
+
+    Geant4 can be initialised once in each.
+    """
     with tempfile.TemporaryDirectory() as folder:
         # light needs none of Geant4's data, but without this file it does not start
         Path(folder, "ENSDFSTATE.dat").touch()
         data = {"GEANT4_DATA_DIR": folder, "G4ENSDFSTATEDATA": folder}
-        line = [sys.executable, __file__, "--job", job]
         done = subprocess.run(
-            line,
+            [sys.executable, script, "--job", json.dumps(job | {"photons": photons})],
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             check=True,
             env=os.environ | data,
         )
     return json.loads(done.stdout.splitlines()[-1])["detected"] / photons
+
+
+def trace_and_end(bench: Bench, photons: int) -> None:
+    """Trace in Geant4, print how many are detected, and end the process."""
+    import geant4_process as process
+
+    reports = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    run = process.Geant4Run(bench, 1, processors(), True, lambda **_: None)
+    detected = run.beam_on(photons)[process.DETECTOR]
+    print(json.dumps({"detected": detected}), file=reports, flush=True)
+    os._exit(0)
 
 
 def work(sigma_alpha: float, n_gap: float, photons: int) -> None:
@@ -74,14 +88,7 @@ def work(sigma_alpha: float, n_gap: float, photons: int) -> None:
             return world
 
     process.BenchConstruction = GroundTop
-    reports = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)
-    bench = Bench(n_gap=n_gap, **COEFFICIENTS)
-    run = process.Geant4Run(bench, 1, processors(), True, lambda **_: None)
-    print(
-        json.dumps({"detected": run.beam_on(photons)[process.DETECTOR]}), file=reports, flush=True
-    )
-    os._exit(0)
+    trace_and_end(Bench(n_gap=n_gap, **COEFFICIENTS), photons)
 
 
 def main() -> None:
@@ -106,7 +113,9 @@ def main() -> None:
             mcrim.simulate(rough.with_overrides({**COEFFICIENTS, "n_gap": n}), run=run).eta
             for n in (1.0, 1.46)
         ]
-        theirs = [in_geant4(sigma, n, options.photons) for n in (1.0, 1.46)]
+        theirs = [
+            in_geant4(__file__, options.photons, sigma_alpha=sigma, n_gap=n) for n in (1.0, 1.46)
+        ]
         cells = [f"{a:.4f}, {g:.4f}, {a / g:.3f}" for a, g in (theirs, ours)]
         print(f"| {sigma:g} | {alpha:.3f} | {cells[0]} | {cells[1]} |", flush=True)
 

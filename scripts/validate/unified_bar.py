@@ -9,11 +9,10 @@ facets reflect. It needs geant4_pybind.
 
 import argparse
 import json
-import os
-import subprocess
 import sys
-import tempfile
 from pathlib import Path
+
+from unified import in_geant4, trace_and_end
 
 from mcrim_mitsuba.efficiency.bench import Bench
 
@@ -36,23 +35,6 @@ BENCH = {
     "window_width_mm": 5.75,
     "window_thickness_mm": 0.01,
 }
-
-
-def in_geant4(faces: tuple[str, ...], model: str, photons: int) -> float:
-    """Detected part with these faces ground, in a process of its own; `model`: see `work`."""
-    job = json.dumps({"faces": faces, "model": model, "photons": photons})
-    with tempfile.TemporaryDirectory() as folder:
-        # light needs none of Geant4's data, but without this file it does not start
-        Path(folder, "ENSDFSTATE.dat").touch()
-        data = {"GEANT4_DATA_DIR": folder, "G4ENSDFSTATEDATA": folder}
-        done = subprocess.run(
-            [sys.executable, __file__, "--job", job],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            check=True,
-            env=os.environ | data,
-        )
-    return json.loads(done.stdout.splitlines()[-1])["detected"] / photons
 
 
 def work(faces: list[str], model: str, photons: int) -> None:
@@ -132,12 +114,7 @@ def work(faces: list[str], model: str, photons: int) -> None:
             where.SetPosDisType("Point")
 
     process.BenchConstruction, process.Geant4Source = GroundBar, Centre
-    reports = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)
-    run = process.Geant4Run(Bench(**BENCH), 1, os.cpu_count() or 1, True, lambda **_: None)
-    detected = run.beam_on(photons)[process.DETECTOR]
-    print(json.dumps({"detected": detected}), file=reports, flush=True)
-    os._exit(0)
+    trace_and_end(Bench(**BENCH), photons)
 
 
 def main() -> None:
@@ -154,7 +131,7 @@ def main() -> None:
     for (finish, faces), published in zip(FINISHES.items(), CENTRE, strict=True):
         cells = []
         for model in models:
-            detected = in_geant4(faces, model, options.photons)
+            detected = in_geant4(__file__, options.photons, faces=faces, model=model)
             error = (detected * (1.0 - detected) / options.photons) ** 0.5
             cells.append(f"{detected:.4f} ± {error:.4f}")
         print(f"| {finish} | {published:.4f} | {' | '.join(cells)} |", flush=True)
