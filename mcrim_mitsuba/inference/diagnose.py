@@ -464,7 +464,7 @@ def _judged(
     fits = explanations.singles()
     lowest = min((fit.deviance for fit in fits.values()), default=0.0)
     for name, fit in fits.items():
-        explanations.evidence((name,), hopeless=fit.deviance > lowest + EXPLAINING.hopeless)
+        explanations.evidence((name,), rough=fit.deviance > lowest + EXPLAINING.hopeless)
     progress("drawing what chance would gain")
     null = NullDistribution(explanations, fits, seed)
     progress("weighing all sets of causes")

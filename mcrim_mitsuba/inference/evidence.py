@@ -42,9 +42,9 @@ class PriorDensity:
     def z_of(self, value: float) -> float:
         """The standard normal number of a value, by sections; drawn into the range."""
         low, high = -EVIDENCE.farthest, EVIDENCE.farthest
-        for _ in range(7):  # 16 / 256^7 is a number's own precision
-            z = np.linspace(low, high, 257)
-            above = min(max(int(np.searchsorted(self.value(z), value)), 1), 256)
+        for _ in range(5):  # 16 / 64^5 is 1e-8
+            z = np.linspace(low, high, 65)
+            above = min(max(int(np.searchsorted(self.value(z), value)), 1), 64)
             low, high = float(z[above - 1]), float(z[above])
         return 0.5 * (low + high)
 
@@ -133,12 +133,12 @@ class Evidence:
 
 
 def evidence_of(
-    fit: Minimum, priors: Mapping[str, PriorDensity], *, hopeless: bool = False
+    fit: Minimum, priors: Mapping[str, PriorDensity], *, rough: bool = False
 ) -> Evidence:
     """Evidence of the model of a fit, with a prior for every free parameter.
 
-    The fit's covariance of the readings is taken for all parameters. Of a `hopeless` one no more
-    than the order of magnitude matters.
+    The fit's covariance of the readings is taken for all parameters. A `rough` one is of few
+    points where these tell enough, for models that matter little.
     """
     sampled = _Sampled(fit, [priors[name] for name in fit.names])
     if not fit.names:  # all is held: the likelihood itself
@@ -147,9 +147,11 @@ def evidence_of(
     modes = [sampled.maximum(fit.theta)]
     # models are compared: the same points for all
     rng = np.random.default_rng(0)
-    points = EVIDENCE.few_points if hopeless else EVIDENCE.points
-    for remaining in reversed(range(1 if hopeless else EVIDENCE.rounds)):
-        z, log_density = _drawn(modes, points // EVIDENCE.rounds if remaining else points, rng)
+    points, rounds = EVIDENCE.points, EVIDENCE.rounds
+    if rough:
+        points, rounds = EVIDENCE.few_points, EVIDENCE.few_rounds
+    for remaining in reversed(range(rounds)):
+        z, log_density = _drawn(modes, points // rounds if remaining else points, rng)
         theta = sampled.values(z)
         log_weight = sampled.log_likelihood(theta) - 0.5 * (z**2).sum(1)
         log_weight -= 0.5 * z.shape[1] * math.log(2.0 * math.pi) + log_density
@@ -163,10 +165,13 @@ def evidence_of(
     mean = share @ theta
     spread = np.sqrt(np.maximum(share @ (theta - mean) ** 2, 0.0))
     effective = 1.0 / float((share**2).sum())
+    log_sigma = math.sqrt(max(1.0 / effective - 1.0 / points, 0.0))
+    if rough and log_sigma > EVIDENCE.unsure:
+        return evidence_of(fit, priors)
     at = np.searchsorted(np.cumsum(share), (np.arange(EVIDENCE.draws) + 0.5) / EVIDENCE.draws)
     return Evidence(
         log=log,
-        log_sigma=math.sqrt(max(1.0 / effective - 1.0 / points, 0.0)),
+        log_sigma=log_sigma,
         mean=dict(zip(fit.names, mean.tolist(), strict=True)),
         sigma=dict(zip(fit.names, spread.tolist(), strict=True)),
         effective_points=effective,
@@ -223,10 +228,11 @@ class _Sampled:
 
     def _linear(self, z: Array) -> tuple[Array, Array]:
         """(used,) whitened residuals and their (used, free) slopes."""
-        steps = EVIDENCE.step * np.eye(len(z))
-        around = self._residuals(self.values(np.vstack([z, z + steps, z - steps])))
-        slopes = (around[1 : 1 + len(z)] - around[1 + len(z) :]) / (2.0 * EVIDENCE.step)
-        return around[0], slopes.T
+        step, whiten = EVIDENCE.step, self._weights.whiten
+        theta, higher, lower = self.values(np.vstack([z, z + step, z - step]))
+        prediction = self._statistic.model.predict(theta)
+        slopes = prediction.signal_slopes[self._statistic.used] * ((higher - lower) / (2.0 * step))
+        return whiten(self._statistic.residuals(prediction)), -whiten(slopes.T).T
 
 
 def _gathered(z: Array, share: Array) -> tuple[Array, Array]:

@@ -163,15 +163,15 @@ class Explanations:
         """What effects are relatives of; of several families all, joined by ``+``."""
         return " + ".join(dict.fromkeys(self.effects[name].family for name in added))
 
-    def evidence(self, added: Iterable[str], *, hopeless: bool = False) -> Evidence:
+    def evidence(self, added: Iterable[str], *, rough: bool = False) -> Evidence:
         """Of the campaign with these effects, their sizes being plausible ones.
 
-        A hopeless one is known to its order of magnitude, if not better from before.
+        A `rough` one is of few points, if it is not known better from before.
         """
         key = tuple(sorted(added))
         if key not in self._evidences:
             fit = self.fit(key)
-            self._evidences[key] = evidence_of(fit, self.priors(key), hopeless=hopeless)
+            self._evidences[key] = evidence_of(fit, self.priors(key), rough=rough)
         return self._evidences[key]
 
     def log_odds(self, added: Iterable[str]) -> float:

@@ -233,7 +233,7 @@ class ExplanationSettings:
     #: with it; twice the simulation's error of their difference in chi2 is added.
     leading: float = 6.0
     #: Deviance above that of the best from which a few points tell an effect's evidence.
-    hopeless: float = 50.0
+    hopeless: float = 20.0
 
 
 EXPLAINING = ExplanationSettings()
@@ -272,9 +272,11 @@ class EvidenceSettings:
     """How a likelihood is averaged over plausible parameters."""
 
     #: Points that an evidence is averaged over; its error is then a few hundredths of its
-    #: logarithm. A hopeless model's is known well enough by few.
+    #: logarithm. Of a model that matters little, few tell enough, unless that error is larger
+    #: than is still of use.
     points: int = 4096
-    few_points: int = 512
+    few_points: int = 1024
+    unsure: float = 0.3
     #: Points that are kept of them.
     draws: int = 256
     #: Degrees of freedom of a size's density: tails that let data speak for unusual sizes.
@@ -286,6 +288,7 @@ class EvidenceSettings:
     wider: float = 1.3
     #: Rounds of sampling; each shows the next one where the weight lies.
     rounds: int = 4
+    few_rounds: int = 2
     #: Distance of maxima that count as two, and the narrowest that is sampled, in standard normals.
     apart: float = 0.05
     narrowest: float = 0.003
@@ -317,6 +320,8 @@ class HypothesisSettings:
     #: probability below which the next one is not worth it.
     in_full: int = 30
     worth: float = 0.003
+    #: Probability of a set, in closed form, from which its evidence is taken from all points.
+    precise: float = 0.02
     #: Single effects around whose own fit sets with them are weighed: those that have this part of
     #: the weight of the likeliest, and how many.
     centred: float = 0.01

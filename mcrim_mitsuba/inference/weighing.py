@@ -345,12 +345,15 @@ class _Weigher:
         if not self._explanations.possible(effects):  # more parameters than readings and priors
             self._full[place] = self._closed(place)
             return
-        plain = around.is_plain and not wrong
-        if plain:
+        own_part = math.exp(self._log_weights[place] - float(logsumexp(self._log_weights)))
+        rough = own_part < HYPOTHESES.precise
+        if around.is_plain and not wrong:
             fit = self._explanations.fit(effects)
-            evidences = [(fit, self._explanations.evidence(effects))]
+            # all others are compared with that of no effect
+            evidence = self._explanations.evidence(effects, rough=rough and bool(effects))
+            evidences = [(fit, evidence)]
         else:
-            evidences = self._averaged(effects, wrong, around)
+            evidences = self._averaged(effects, wrong, around, rough=rough)
         logs = [evidence.log for _, evidence in evidences]
         fit, evidence = evidences[int(np.argmax(logs))]
         log = float(logsumexp(logs)) - math.log(len(logs))
@@ -371,7 +374,12 @@ class _Weigher:
         )
 
     def _averaged(
-        self, effects: tuple[str, ...], wrong: tuple[str, ...], around: Surroundings
+        self,
+        effects: tuple[str, ...],
+        wrong: tuple[str, ...],
+        around: Surroundings,
+        *,
+        rough: bool,
     ) -> list[tuple[Minimum, Evidence]]:
         """Fits and evidences with wrong readings of every size, in some surroundings."""
         explanations, start = self._explanations, self._explanations.fit(effects)
@@ -391,7 +399,7 @@ class _Weigher:
         for size in RIVALS.bad_sizes if single.any() else (0.0,):
             own = own.with_unexplained(covariance + np.diag(size**2 * single))
             fit = settle(own, start.theta)
-            evidences.append((fit, evidence_of(fit, explanations.priors(effects), hopeless=True)))
+            evidences.append((fit, evidence_of(fit, explanations.priors(effects), rough=rough)))
         return evidences
 
     def _scale_of(self, evidence: Evidence) -> tuple[float, float]:

@@ -1,5 +1,6 @@
 """Evidence: averages over plausible sizes, against plain averages and closed forms."""
 
+import itertools
 import math
 
 import numpy as np
@@ -69,6 +70,24 @@ def test_evidence_is_the_average_over_the_priors(rough, effects):
     assert counting > 300
     assert found.log_sigma < 0.1
     assert abs(found.log - average) < 0.1
+
+
+def test_few_points_tell_what_matters_little():
+    """Nine effects, which few points are the worst at, and their pairs: the logarithm's error."""
+    models = explanations(bench.SIGMA)
+    names = "anisotropic_scattering background detector_angle detector_reflection edge_chamfer"
+    names += " gap_bubble nonlinearity surface_absorption top_reflector"
+    differences, again = [], 0
+    singles = [(name,) for name in names.split()]
+    for effects in singles + list(itertools.combinations(names.split(), 2)):
+        fit, priors = models.fit(effects), models.priors(effects)
+        few, all_points = (evidence_of(fit, priors, rough=how) for how in (True, False))
+        differences.append(few.log - all_points.log)
+        again += few.log == all_points.log
+        assert few.log_sigma < 0.3 or few.log_sigma == all_points.log_sigma
+    assert 0 < again < 10  # that few are not enough is seen
+    assert np.abs(differences).max() < 0.8
+    assert np.sqrt(np.mean(np.square(differences))) < 0.25
 
 
 @pytest.mark.parametrize("effects", [(), ("gap_bubble",), ("background",)])
