@@ -474,8 +474,9 @@ def _handles(paths: tuple[DrawnTrail, ...], shares: dict[str, float]) -> list[Li
 SUFFIXES = (".png", ".svg", ".pdf")
 
 _FRAME = "#d95f02"
-#: Inches of the figure, of its margins and of the enlarged part.
+#: Inches of the figure, of a brief one, of its margins and of the enlarged part.
 _WIDTH_IN = 12.0
+_BRIEF_IN = 7.0
 _MARGIN_IN = 0.85
 _DETAIL_IN = 2.6
 _DPI = 150
@@ -493,39 +494,46 @@ def write_cross_section(figure: Figure, path: str | Path) -> None:
     write_bytes(path, content.getvalue())
 
 
-def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ...]) -> Figure:
+def cross_section_figure(
+    simulation: Simulation, interfaces: tuple[Interface, ...], *, brief: bool = False
+) -> Figure:
     """A loaded scene to scale in the vertical plane through the middle of its crystal.
 
     A second panel enlarges the thinnest layer at the crystal's lower edge, where there is one. Both
     show a few photons' paths, projected on the plane; the same scene gives the same ones.
-    `interfaces` come from `transport.check.interfaces_of`: they know the indices.
+    `interfaces` come from `transport.check.interfaces_of`: they know the indices. If `brief`, it is
+    for a narrow column, without paths, second panel and heading.
     """
     crystal, file, model = simulation.crystal, simulation.file, simulation.model
     cut = cross_section(model, float(crystal.lower[1] + crystal.upper[1]) / 2)
-    box, inner_in = model.scene.bbox(), _WIDTH_IN - 1.5 * _MARGIN_IN
+    width_in, above_in = (_BRIEF_IN, 0.4) if brief else (_WIDTH_IN, 1.75)
+    box, inner_in = model.scene.bbox(), width_in - 1.5 * _MARGIN_IN
     (middle_x, _, middle_z), (wide, _, tall) = np.array(box.center()), np.array(box.extents())
-    per_mm = min((inner_in - 2.0) / wide, 4.6 / tall)  # with inches of air for labels
+    per_mm = min(
+        (inner_in - 2.0) / wide, (2.8 if brief else 4.6) / tall
+    )  # with inches of air for labels
     main_in = max(tall * per_mm + 1.5, 2.9)
     closer_x, closer_z, closer_half = closer_view(cut, crystal.volume)
     times = round(_DETAIL_IN / 2 / closer_half / per_mm, 1)
     below_in, frame = _MARGIN_IN, None
-    if times > 1.3:  # else the second panel would show hardly more
+    if times > 1.3 and not brief:  # else the second panel would show hardly more
         below_in += _DETAIL_IN + 0.9
         reach = closer_half * np.array([inner_in / _DETAIL_IN, 1.0])
         frame = np.array([closer_x, closer_z]) + np.multiply.outer([-1, 1], reach)
-    paths, shares = chosen_paths(simulation, frame)
+    paths, shares = ((), {}) if brief else chosen_paths(simulation, frame)
     handles = _handles(paths, shares)
-    height_in = below_in + main_in + 1.75 + 0.22 * -(-len(handles) // _PER_ROW)
-    figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor="white")
+    height_in = below_in + main_in + above_in + 0.22 * -(-len(handles) // _PER_ROW)
+    figure = Figure(figsize=(width_in, height_in), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)  # which measures texts
-    _write_above(figure, file, handles if paths else ())
+    if not brief:
+        _write_above(figure, file, handles if paths else ())
 
     def panel(
         bottom_in: float, tall_in: float, x: float, z: float, half: float, title: str
     ) -> SectionAxes:
         """Axes so high above the figure's lower edge, and so tall, about x and z +- half (mm)."""
         place = np.array([_MARGIN_IN, bottom_in, inner_in, tall_in])
-        ax = figure.add_axes(place / np.tile([_WIDTH_IN, height_in], 2), xlabel="x (mm)")
+        ax = figure.add_axes(place / np.tile([width_in, height_in], 2), xlabel="x (mm)")
         wide = half * inner_in / tall_in
         ax.set(xlim=(x - wide, x + wide), ylim=(z - half, z + half), ylabel="z (mm)")
         ax.set_title(title, size=11, loc="left")
