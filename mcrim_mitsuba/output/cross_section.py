@@ -26,9 +26,9 @@ from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
 from mcrim_mitsuba.core.numbers import Value, said
 from mcrim_mitsuba.output.figure_style import fate_style, ordered, paper
 from mcrim_mitsuba.transport.check import volume_indices
-from mcrim_mitsuba.transport.cut import CrossSection, cross_section, masked
+from mcrim_mitsuba.transport.cut import CrossSection, Trace, cross_section, masked
 from mcrim_mitsuba.transport.launch_plan import LANES
-from mcrim_mitsuba.transport.scene_model import SceneModel
+from mcrim_mitsuba.transport.scene_model import SceneModel, Surface
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.scene.check_text import Interface
@@ -43,6 +43,19 @@ COLOURS = ("#7aa6cf", "#f7e7b9", "#bcd3b4", "#d9a48f", "#9a86b8", "#8fb5b0")
 INK = "#222222"
 _DETECTOR = "#b3261e"
 _OTHER = "#777777"
+#: What effects have added, by an attribute of a face that tells how much, and by its name's end.
+_ADDED_INK = "#00838f"
+_FINISHES = {
+    "roughness": "rough face, α = {:.2g}",
+    "hazy_part": "hazy face, {:.0%} scattered",
+    "surface_loss": "lossy face, {:.2g} of every reflection",
+    "contact": "wrapping in contact, {:.0%}",
+}
+_ADDED = {
+    "_bubble": "air bubble in the gap",
+    "chamfers": "bevelled edge",
+    "_wet": "collar of the liquid",
+}
 #: Pixels of a cell of the grid on which labels find their place.
 _CELL = 3
 #: Pixels of the space beside and above a label.
@@ -134,10 +147,35 @@ class SectionAxes:
             if kind != "dielectric":
                 self.named.setdefault(text, []).append(trace.points)
             self.line(trace.points, *styles.get(kind, (_OTHER, 3.0)))
+            self._draw_added(surface, trace, band)
         for trace in masked(self.model, self.cut):
             radius = self.model.surfaces[trace.surface].aperture_radius_mm
-            self.named.setdefault(f"black mask, hole radius {radius:g} mm", []).append(trace.points)
+            x, y = self.model.surfaces[trace.surface].axis_mm
+            text = f"black mask, hole radius {radius:g} mm"
+            text += f" about x = {x:g}, y = {y:g} mm" if x or y else ""
+            self.named.setdefault(text, []).append(trace.points)
             self.line(trace.points, "black", 5.0)
+
+    def _draw_added(self, surface: Surface, trace: Trace, band: np.ndarray) -> None:
+        """What an effect has made of a face: rough, hazy, bevelled, wet, beside a bubble, ..."""
+        texts = [
+            text.format(getattr(surface, name)).replace("%", " %")
+            for name, text in _FINISHES.items()
+            if getattr(surface, name)
+        ]
+        texts += [text for end, text in _ADDED.items() if surface.name.endswith(end)]
+        if surface.exterior == self.model.endless:  # a strip of the liquid outside
+            outline = np.vstack([trace.points, trace.points[::-1] - band * trace.back])
+            self.ax.fill(*outline.T, color=COLOURS[1], lw=0)
+        if not texts:
+            return
+        text = ", ".join(texts)
+        self.named.setdefault(text, []).append(trace.points)
+        self.line(trace.points, _ADDED_INK, 3.0)
+        if surface.roughness or surface.haze:  # like the profile of a rough face, outside of it
+            profile = trace.points - 0.25 * band * trace.back
+            (line,) = self.ax.plot(*profile.T, color=_ADDED_INK, lw=0.8)
+            line.set_sketch_params(scale=3, length=20, randomness=6)
 
     def in_cells(self, points: np.ndarray) -> np.ndarray:
         """Points (mm) in units of cells from the lower left corner, shape (n, 2)."""
@@ -233,7 +271,7 @@ class SectionAxes:
         few = targets[:: len(targets) // _PLACING.most_targets + 1] + 0.5
         targets = few if beside else targets.mean(axis=0)[None]
         room = ~self.taken & ((self.owner == volume) | (beside & (self.owner == 0)))
-        look: dict[str, Any] = {"size": 10.5, "va": "bottom", "bbox": paper(0.7, 1.0), "zorder": 6}
+        look: dict[str, Any] = {"size": 10.5, "va": "bottom", "zorder": 6}
         for text in texts:
             artist = self.ax.text(0, 0, text, parse_math=False, **look)
             w, h = size = (artist.get_window_extent().size + 2 * _CLEAR).astype(int) // _CELL + 1
@@ -256,6 +294,8 @@ class SectionAxes:
             points = np.array([corner, start[best, target], targets[target]]) * _CELL + self.box.p0
             corner, *link = self.ax.transData.inverted().transform(points)
             artist.set_position(corner)
+            if on_paths[best].any():  # else it would only hide what it names
+                artist.set_bbox(paper(0.7, 1.0))
             if beside and leader:
                 self._draw_leader(np.array(link), targets[target].astype(int))
             self.taken[row : row + h, column : column + w] = True
@@ -500,7 +540,8 @@ def cross_section_figure(
     """A loaded scene to scale in the vertical plane through the middle of its crystal.
 
     A second panel enlarges the thinnest layer at the crystal's lower edge, where there is one. Both
-    show a few photons' paths, projected on the plane; the same scene gives the same ones.
+    show a few photons' paths, projected on the plane; the same scene gives the same ones. A crystal
+    that lies is cut across its axis as well.
     `interfaces` come from `transport.check.interfaces_of`: they know the indices. If `brief`, it is
     for a narrow column, without paths, second panel and heading.
     """
@@ -508,18 +549,24 @@ def cross_section_figure(
     cut = cross_section(model, float(crystal.lower[1] + crystal.upper[1]) / 2)
     width_in, above_in = (_BRIEF_IN, 0.4) if brief else (_WIDTH_IN, 1.75)
     box, inner_in = model.scene.bbox(), width_in - 1.5 * _MARGIN_IN
-    (middle_x, _, middle_z), (wide, _, tall) = np.array(box.center()), np.array(box.extents())
-    per_mm = min(
-        (inner_in - 2.0) / wide, (2.8 if brief else 4.6) / tall
-    )  # with inches of air for labels
+    (middle_x, middle_y, middle_z), (wide, _, tall) = (
+        np.array(box.center()),
+        np.array(box.extents()),
+    )
+    # with inches of air for labels
+    per_mm = min((inner_in - 2.0) / wide, (2.8 if brief else 4.6) / tall)
     main_in = max(tall * per_mm + 1.5, 2.9)
     closer_x, closer_z, closer_half = closer_view(cut, crystal.volume)
     times = round(_DETAIL_IN / 2 / closer_half / per_mm, 1)
-    below_in, frame = _MARGIN_IN, None
+    # a crystal that lies along x shows what it is across that
+    lies = not brief and any(wall.circle.axis == 0 for wall in model.walls)
+    first_in = _MARGIN_IN + lies * (main_in + 0.9)
+    below_in, frame = first_in, None
     if times > 1.3 and not brief:  # else the second panel would show hardly more
         below_in += _DETAIL_IN + 0.9
         reach = closer_half * np.array([inner_in / _DETAIL_IN, 1.0])
         frame = np.array([closer_x, closer_z]) + np.multiply.outer([-1, 1], reach)
+    has_mask = np.isfinite([s.aperture_radius_mm for s in model.surfaces]).any()
     paths, shares = ((), {}) if brief else chosen_paths(simulation, frame)
     handles = _handles(paths, shares)
     height_in = below_in + main_in + above_in + 0.22 * -(-len(handles) // _PER_ROW)
@@ -529,27 +576,34 @@ def cross_section_figure(
         _write_above(figure, file, handles if paths else ())
 
     def panel(
-        bottom_in: float, tall_in: float, x: float, z: float, half: float, title: str
+        cut: CrossSection, bottom_in: float, tall_in: float, x: float, z: float, half: float
     ) -> SectionAxes:
         """Axes so high above the figure's lower edge, and so tall, about x and z +- half (mm)."""
         place = np.array([_MARGIN_IN, bottom_in, inner_in, tall_in])
-        ax = figure.add_axes(place / np.tile([width_in, height_in], 2), xlabel="x (mm)")
+        ax = figure.add_axes(place / np.tile([width_in, height_in], 2))
+        ax.set_xlabel(f"{'yx'[cut.normal]} (mm)")
         wide = half * inner_in / tall_in
         ax.set(xlim=(x - wide, x + wide), ylim=(z - half, z + half), ylabel="z (mm)")
+        title = f"Vertical plane {'xy'[cut.normal]} = {cut.level_mm:.3g} mm, to scale"
+        if has_mask and not masked(model, cut):
+            title += "; the black mask does not reach it"
         ax.set_title(title, size=11, loc="left")
         section = SectionAxes(ax, cut, model, interfaces)
-        for path in paths:
+        for path in paths if cut.normal else ():
             draw_path(ax, path)
             section.avoid(path.points)
         return section
 
-    title = f"Vertical plane y = {cut.y_mm:.3g} mm, to scale"
-    if np.isfinite([s.aperture_radius_mm for s in model.surfaces]).any() and not masked(model, cut):
-        title += "; the black mask does not reach it"
-    main = panel(below_in, main_in, middle_x, middle_z, main_in / 2 / per_mm, title)
+    half = main_in / 2 / per_mm
+    main = panel(cut, below_in, main_in, middle_x, middle_z, half)
+    if lies:
+        middle = float(crystal.lower[0] + crystal.upper[0]) / 2
+        across = cross_section(model, middle, normal=0)
+        panel(across, _MARGIN_IN, main_in, middle_y, middle_z, half).label()
     if frame is not None:
+        detail = panel(cut, first_in, _DETAIL_IN, closer_x, closer_z, closer_half)
         title = f"The frame above, enlarged {times:g} times, alike in both directions"
-        detail = panel(_MARGIN_IN, _DETAIL_IN, closer_x, closer_z, closer_half, title)
+        detail.ax.set_title(title, size=11, loc="left")
         detail.measure()
         detail.label(brief=True)
         # corners come from left to right, the lower one first: here they go around

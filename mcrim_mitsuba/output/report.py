@@ -44,8 +44,7 @@ from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
 from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 from mcrim_mitsuba.output.light_figures import Lights, draw_arrival, draw_fates
 from mcrim_mitsuba.output.pages import environment
-from mcrim_mitsuba.output.photograph import BENCH_PANEL
-from mcrim_mitsuba.output.report_sections import PICTURE_SCALE, RatioOfSignals, Sections, gather
+from mcrim_mitsuba.output.report_sections import RatioOfSignals, Sections, gather
 from mcrim_mitsuba.output.sentences import in_words
 
 # matplotlib writes texts into comments and a date into the metadata; a page needs neither
@@ -208,10 +207,8 @@ def _drawn(sections: Sections) -> dict[str, Picture]:
         pictures["arrival"] = of_drawing("arrival", arrival, _SHOWN["arrival"], map=of_map)
     # last: it may have to be waited for
     photograph = sections.bench.photograph
-    if photograph is not None and (sheet := photograph.picture) is not None:
-        left, top, wide, high = (round(PICTURE_SCALE * side) for side in BENCH_PANEL)
-        view = sheet[top : top + high, left : left + wide]
-        for name, pixels in (("bench", sheet), ("view", view)):
+    if photograph is not None and photograph.picture is not None:
+        for name, pixels in zip(("bench", "view"), photograph.picture, strict=True):
             pictures[name] = of_pixels(name, pixels, _SHOWN[name])
     return pictures
 

@@ -79,6 +79,17 @@ def test_gap_is_seen_and_gel_is_not_air(picture):
         assert (red > blue + 60) == (case == "gel")
 
 
+def test_the_bench_alone_has_no_labels(picture):
+    """A report's first picture was a crop of all, with a ring and "enlarged below"."""
+    made = picture("gel")
+    high, wide, _ = made.view.shape
+    (ring,) = (label.box for label in made.labels if label.text == "enlarged below")
+    left, top, right, bottom = (round(side) for side in ring)
+    place = np.s_[top - 40 : bottom - 40, left:right]  # the panel begins 40 pixels below the top
+    assert (high, wide) == (236, 356) and made.view[place].std() < 4
+    assert made.pixels[top:bottom, left:right].std() > 20
+
+
 def test_detector_is_red(picture):
     red, green, blue = colour_at(picture("air"), "detector")
     assert red > 1.8 * max(green, blue)
