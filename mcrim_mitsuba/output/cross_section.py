@@ -5,8 +5,10 @@ A few photons' paths, traced by the transport itself, show which fates light mee
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,6 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy.ndimage import binary_erosion
 
+from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
 from mcrim_mitsuba.core.numbers import Value, said
 from mcrim_mitsuba.output.figure_style import fate_style, ordered, paper
@@ -31,7 +34,8 @@ from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.scene_model import SceneModel, Surface
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.scene.check_text import Interface
+    from mcrim_mitsuba.output.scene_results import CheckResult
+    from mcrim_mitsuba.scene.check_text import Interface, SceneProblem
     from mcrim_mitsuba.scene.scene_file import SceneFile
     from mcrim_mitsuba.transport.collection import Trail
     from mcrim_mitsuba.transport.simulation import Simulation
@@ -42,6 +46,9 @@ COLOURS = ("#7aa6cf", "#f7e7b9", "#bcd3b4", "#d9a48f", "#9a86b8", "#8fb5b0")
 #: Colours of lines: of most, of the detector, of what is neither volume nor detector.
 INK = "#222222"
 _DETECTOR = "#b3261e"
+_FAULT = "#ff1f1f"
+#: Lines of a file that are shown before and after a faulty one.
+_LINES_AROUND = 4
 _OTHER = "#777777"
 #: What effects have added, by an attribute of a face that tells how much, and by its name's end.
 _ADDED_INK = "#00838f"
@@ -534,25 +541,84 @@ def write_cross_section(figure: Figure, path: str | Path) -> None:
     write_bytes(path, content.getvalue())
 
 
+def figure_of_check(checked: CheckResult) -> Figure:
+    """The cross-section of a checked scene, what is wrong with it in red.
+
+    Where such a scene cannot be assembled it is drawn as its file has it, without parameters that
+    differ, or with 1 for the parameter that is wrong; where that is no scene either, what is wrong
+    is written, with the lines around it.
+    """
+    from mcrim_mitsuba.transport.check import interfaces_of
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    fault, run = next(iter(checked.problems), None), checked.run
+    words = set(re.findall(r"\w+", fault.text if fault else ""))
+    named = checked.parameters.keys() & words - checked.overrides.keys()
+    attempts: list[dict[str, Any]] = [dict(checked.overrides), dict.fromkeys(named, 1.0)]
+    for overrides in attempts:
+        with contextlib.suppress(InputError):
+            simulation = Simulation(
+                checked.scene, overrides, variant=run.variant, threads=run.threads, check=False
+            )
+            faces = interfaces_of(simulation.file, simulation.model)
+            return cross_section_figure(simulation, faces, fault=fault)
+    assert fault is not None  # what is sound can be assembled
+    rows = [(line, True) for line in textwrap.wrap(visible(str(fault)), 100)]
+    if fault.line is not None and fault.path is not None:
+        text = Path(fault.path).read_text(encoding="utf-8", errors="replace").splitlines()
+        first = max(fault.line - _LINES_AROUND, 1)
+        rows += [
+            (f"{number:5}  {visible(line)[:104]}", number == fault.line)
+            for number, line in enumerate(text[first - 1 : fault.line + _LINES_AROUND], first)
+        ]
+    figure = Figure(figsize=(_WIDTH_IN, 0.4 + 0.24 * len(rows)), dpi=_DPI)
+    FigureCanvasAgg(figure)
+    for row, (line, is_red) in enumerate(rows):
+        look: dict[str, Any] = {"color": _FAULT if is_red else INK, "family": "monospace"}
+        height = 1 - (0.2 + 0.24 * row) / figure.get_figheight()
+        figure.text(0.02, height, line, size=11, va="top", parse_math=False, **look)
+    return figure
+
+
+def _faulty_surfaces(
+    model: SceneModel, interfaces: Sequence[Interface], fault: SceneProblem
+) -> set[int]:
+    """Indices of the surfaces that a problem names, or of those around a volume that it names.
+
+    Where it names neither, parts of its words count: ``gap_mm`` is of the gap, ``alpha`` of the
+    crystal.
+    """
+    words = set(re.findall(r"\w+", fault.text.replace("alpha_", "crystal_alpha_")))
+    words |= {face.surface for face in interfaces if face.line == fault.line}
+    for names in (words, {part for word in words for part in word.split("_")}):
+        surfaces = {i for i, surface in enumerate(model.surfaces) if surface.name in names}
+        volumes = [i for i, name in enumerate(model.volume_names) if i and name in names]
+        if surfaces or volumes:
+            return surfaces or {i for volume in volumes for i in model.bordering(volume)}
+    return set()
+
+
 def cross_section_figure(
-    simulation: Simulation, interfaces: tuple[Interface, ...], *, brief: bool = False
+    simulation: Simulation,
+    interfaces: tuple[Interface, ...],
+    *,
+    brief: bool = False,
+    fault: SceneProblem | None = None,
 ) -> Figure:
     """A loaded scene to scale in the vertical plane through the middle of its crystal.
 
     A second panel enlarges the thinnest layer at the crystal's lower edge, where there is one. Both
     show a few photons' paths, projected on the plane; the same scene gives the same ones. A crystal
-    that lies is cut across its axis as well.
-    `interfaces` come from `transport.check.interfaces_of`: they know the indices. If `brief`, it is
-    for a narrow column, without paths, second panel and heading.
+    that lies is cut across its axis as well. If `brief`, it is for a narrow column, without paths,
+    second panel and heading. What a `fault` is about is red; no light goes through such a scene.
+    `interfaces` come from `transport.check.interfaces_of`: they know the indices.
     """
     crystal, file, model = simulation.crystal, simulation.file, simulation.model
     cut = cross_section(model, float(crystal.lower[1] + crystal.upper[1]) / 2)
     width_in, above_in = (_BRIEF_IN, 0.4) if brief else (_WIDTH_IN, 1.75)
     box, inner_in = model.scene.bbox(), width_in - 1.5 * _MARGIN_IN
-    (middle_x, middle_y, middle_z), (wide, _, tall) = (
-        np.array(box.center()),
-        np.array(box.extents()),
-    )
+    middle_x, middle_y, middle_z = np.array(box.center())
+    wide, _, tall = np.array(box.extents())
     # with inches of air for labels
     per_mm = min((inner_in - 2.0) / wide, (2.8 if brief else 4.6) / tall)
     main_in = max(tall * per_mm + 1.5, 2.9)
@@ -566,14 +632,14 @@ def cross_section_figure(
         below_in += _DETAIL_IN + 0.9
         reach = closer_half * np.array([inner_in / _DETAIL_IN, 1.0])
         frame = np.array([closer_x, closer_z]) + np.multiply.outer([-1, 1], reach)
-    has_mask = np.isfinite([s.aperture_radius_mm for s in model.surfaces]).any()
-    paths, shares = ((), {}) if brief else chosen_paths(simulation, frame)
+    faulty = _faulty_surfaces(model, interfaces, fault) if fault else set()
+    paths, shares = ((), {}) if brief or fault else chosen_paths(simulation, frame)
     handles = _handles(paths, shares)
     height_in = below_in + main_in + above_in + 0.22 * -(-len(handles) // _PER_ROW)
     figure = Figure(figsize=(width_in, height_in), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)  # which measures texts
     if not brief:
-        _write_above(figure, file, handles if paths else ())
+        _write_above(figure, file, handles if paths else (), fault)
 
     def panel(
         cut: CrossSection, bottom_in: float, tall_in: float, x: float, z: float, half: float
@@ -584,11 +650,12 @@ def cross_section_figure(
         ax.set_xlabel(f"{'yx'[cut.normal]} (mm)")
         wide = half * inner_in / tall_in
         ax.set(xlim=(x - wide, x + wide), ylim=(z - half, z + half), ylabel="z (mm)")
-        title = f"Vertical plane {'xy'[cut.normal]} = {cut.level_mm:.3g} mm, to scale"
-        if has_mask and not masked(model, cut):
-            title += "; the black mask does not reach it"
-        ax.set_title(title, size=11, loc="left")
+        ax.set_title(_plane(cut, model), size=11, loc="left")
         section = SectionAxes(ax, cut, model, interfaces)
+        for trace in cut.traces:
+            if trace.surface in faulty:
+                section.line(trace.points, _FAULT, 4.0)
+                section.named.setdefault("here", []).append(trace.points)
         for path in paths if cut.normal else ():
             draw_path(ax, path)
             section.avoid(path.points)
@@ -597,8 +664,7 @@ def cross_section_figure(
     half = main_in / 2 / per_mm
     main = panel(cut, below_in, main_in, middle_x, middle_z, half)
     if lies:
-        middle = float(crystal.lower[0] + crystal.upper[0]) / 2
-        across = cross_section(model, middle, normal=0)
+        across = cross_section(model, float(crystal.lower[0] + crystal.upper[0]) / 2, normal=0)
         panel(across, _MARGIN_IN, main_in, middle_y, middle_z, half).label()
     if frame is not None:
         detail = panel(cut, first_in, _DETAIL_IN, closer_x, closer_z, closer_half)
@@ -614,8 +680,18 @@ def cross_section_figure(
     return figure
 
 
-def _write_above(figure: Figure, file: SceneFile, handles: Sequence[Line2D]) -> None:
-    """The scene's name with its parameters, and the legend of the paths, if there are any."""
+def _plane(cut: CrossSection, model: SceneModel) -> str:
+    """Where the plane of a panel lies, and that it misses the mask where it does."""
+    plane = f"Vertical plane {'xy'[cut.normal]} = {cut.level_mm:.3g} mm, to scale"
+    has_mask = np.isfinite([surface.aperture_radius_mm for surface in model.surfaces]).any()
+    missed = has_mask and not masked(model, cut)
+    return f"{plane}; the black mask does not reach it" if missed else plane
+
+
+def _write_above(
+    figure: Figure, file: SceneFile, handles: Sequence[Line2D], fault: SceneProblem | None
+) -> None:
+    """The scene's name with its parameters, and the legend of the paths or what is wrong."""
     height_in = figure.get_figheight()
     changed = ", ".join(said(name, file.parameters[name]) for name in file.overrides)
     title = textwrap.shorten(f"{file.path.name} {changed and 'with'} {changed}", 90)
@@ -625,6 +701,9 @@ def _write_above(figure: Figure, file: SceneFile, handles: Sequence[Line2D]) -> 
     style["parse_math"] = False
     figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
     figure.text(0.5, 1 - 0.55 / height_in, shown, size=9.5, **style)
+    if fault is not None:
+        words = textwrap.fill(visible(str(fault)), 130)
+        figure.text(0.5, 1 - 1.08 / height_in, words, size=11, **style | {"color": _FAULT})
     if handles:
         look: dict[str, Any] = {"fontsize": 9.5, "title": _TITLE, "title_fontsize": 9.5}
         look |= {"frameon": False, "handlelength": 2.6, "columnspacing": 1.4, "borderaxespad": 0.0}

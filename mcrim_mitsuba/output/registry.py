@@ -127,11 +127,7 @@ PRESENTERS = {
     "CheckResult": Presenter(
         kind="check",
         describe=describe_scene.of_check,
-        figures={
-            "cross_section": lambda c: cross_section.cross_section_figure(
-                c.simulation, c.interfaces
-            )
-        },
+        figures={"cross_section": cross_section.figure_of_check},
         names="ok problems parameters interfaces words notes",
     ),
     "CrosscheckResult": Presenter(
