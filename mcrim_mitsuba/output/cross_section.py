@@ -47,8 +47,6 @@ COLOURS = ("#7aa6cf", "#f7e7b9", "#bcd3b4", "#d9a48f", "#9a86b8", "#8fb5b0")
 INK = "#222222"
 _DETECTOR = "#b3261e"
 _FAULT = "#ff1f1f"
-#: Lines of a file that are shown before and after a faulty one.
-_LINES_AROUND = 4
 _OTHER = "#777777"
 #: What effects have added, by an attribute of a face that tells how much, and by its name's end.
 _ADDED_INK = "#00838f"
@@ -546,7 +544,7 @@ def figure_of_check(checked: CheckResult) -> Figure:
 
     Where such a scene cannot be assembled it is drawn as its file has it, without parameters that
     differ, or with 1 for the parameter that is wrong; where that is no scene either, what is wrong
-    is written, with the lines around it.
+    is written, with its line.
     """
     from mcrim_mitsuba.transport.check import interfaces_of
     from mcrim_mitsuba.transport.simulation import Simulation
@@ -563,20 +561,14 @@ def figure_of_check(checked: CheckResult) -> Figure:
             faces = interfaces_of(simulation.file, simulation.model)
             return cross_section_figure(simulation, faces, fault=fault)
     assert fault is not None  # what is sound can be assembled
-    rows = [(line, True) for line in textwrap.wrap(visible(str(fault)), 100)]
+    lines = textwrap.wrap(visible(str(fault)), 100)
     if fault.line is not None and fault.path is not None:
         text = Path(fault.path).read_text(encoding="utf-8", errors="replace").splitlines()
-        first = max(fault.line - _LINES_AROUND, 1)
-        rows += [
-            (f"{number:5}  {visible(line)[:104]}", number == fault.line)
-            for number, line in enumerate(text[first - 1 : fault.line + _LINES_AROUND], first)
-        ]
-    figure = Figure(figsize=(_WIDTH_IN, 0.4 + 0.24 * len(rows)), dpi=_DPI)
+        lines += ["", f"{fault.line:5}  {visible(text[fault.line - 1])[:90]}"]
+    figure = Figure(figsize=(_WIDTH_IN, 0.4 + 0.26 * len(lines)), dpi=_DPI)
     FigureCanvasAgg(figure)
-    for row, (line, is_red) in enumerate(rows):
-        look: dict[str, Any] = {"color": _FAULT if is_red else INK, "family": "monospace"}
-        height = 1 - (0.2 + 0.24 * row) / figure.get_figheight()
-        figure.text(0.02, height, line, size=11, va="top", parse_math=False, **look)
+    look: dict[str, Any] = {"color": _FAULT, "size": 11, "family": "monospace", "va": "center"}
+    figure.text(0.02, 0.5, "\n".join(lines), parse_math=False, **look)
     return figure
 
 

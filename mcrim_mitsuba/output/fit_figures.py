@@ -34,8 +34,6 @@ _SUSPECTS: dict[str, Any] = {
     "bad_reading": ("suspected bad reading", {"facecolor": "#f6dccd", "edgecolor": style.WARM}),
     "swapped_rows": ("suspected swap", _HATCHED | {"edgecolor": style.WARM}),
 }
-#: After a repair the suspicion is history.
-_NO_LONGER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.6", "ls": ":"}
 #: Half the width of a prediction's dash.
 _DASH = 0.32
 #: How far before and after stand apart.
@@ -92,10 +90,11 @@ def draw_comparison(
         fits = [_Pulls(name, before, _AS_IT_IS, -_APART), _Pulls(words, after, _MENDED, _APART)]
     _draw_signals(upper, places, fits, unit)
     _draw_pulls(lower, places, fits)
-    _mark_suspects(lower, places, before, mended=after is not None)
-    for row, tick in zip(before.rows, lower.get_xticklabels(), strict=True):
-        if row.label in suspects:
-            tick.set(fontweight="bold", color=style.WARM if after is None else style.GREY)
+    if after is None:  # after a repair suspicions are history
+        _mark_suspects(lower, places, before)
+        for row, tick in zip(before.rows, lower.get_xticklabels(), strict=True):
+            if row.label in suspects:
+                tick.set(fontweight="bold", color=style.WARM)
     return style.Drawing(figure, *_comparison_numbers(before, after, suspects))
 
 
@@ -270,7 +269,7 @@ def _draw_signals(axes: Axes, places: np.ndarray, fits: Sequence[_Pulls], unit: 
         models = factors * [row.model for row in fit.rows]
         axes.hlines(models, places - _DASH, places + _DASH, zorder=4, **dash)
         handles.append(Line2D([], [], label="model" if name == "fit" else f"model {name}", **dash))
-    handles += _mark_suspects(axes, places, before, mended=len(fits) > 1)
+    handles += _mark_suspects(axes, places, before) if len(fits) == 1 else []
     axes.set_ylabel(style.signal_title(unit, "\n"), parse_math=False)
     axes.set_ylim(bottom=min(0.0, 1.1 * float(measured.min(initial=0.0))))
     style.open_axes(axes, "y")
@@ -309,16 +308,14 @@ def _draw_pulls(axes: Axes, places: np.ndarray, fits: Sequence[_Pulls]) -> None:
 
 
 def _mark_suspects(
-    axes: Axes, places: np.ndarray, before: Calibration | FittedHypothesis, *, mended: bool
+    axes: Axes, places: np.ndarray, before: Calibration | FittedHypothesis
 ) -> list[Patch]:
-    """Draw a column behind each suspect reading, pale once mended; gives entries of the legend."""
+    """Draw a column behind each suspect reading; gives entries of the legend."""
     position = {row.label: place for row, place in zip(before.rows, places, strict=True)}
     handles = []
     for kind, (title, box) in _SUSPECTS.items():
         suspects = (suspect for suspect in _suspects(before) if suspect.kind == kind)
         labels = {label for suspect in suspects for label in suspect.labels}
-        if mended:
-            title, box = f"{title} before the repair", box | _NO_LONGER
         for label in labels & position.keys():
             axes.axvspan(position[label] - 0.42, position[label] + 0.42, zorder=2, **box)
         if labels:
