@@ -71,12 +71,6 @@ class NextMeasurement:
     words: str
 
     @property
-    def builds(self) -> bool:
-        """Whether it begins with a reading of light in a new configuration."""
-        light = self.parameters.get(KIND, LIGHT) == LIGHT
-        return light and self.kind.split(" + ")[0] == READING
-
-    @property
     def is_of_readings(self) -> bool:
         """Whether nothing but readings in new configurations is proposed."""
         return set(self.kind.split(" + ")) == {READING}

@@ -10,7 +10,7 @@ import io
 import math
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -685,10 +685,7 @@ def _write_above(
 ) -> None:
     """The scene's name with its parameters, and the legend of the paths or what is wrong."""
     height_in = figure.get_figheight()
-    changed = ", ".join(said(name, file.parameters[name]) for name in file.overrides)
-    title = textwrap.shorten(f"{file.path.name} {changed and 'with'} {changed}", 90)
-    # in small print
-    shown = textwrap.fill(",  ".join(typed(file.parameters, "=")), 150, max_lines=3)
+    title, shown = heading(file.path.name, file.overrides, file.parameters, "=", 150, 3)
     style: dict[str, Any] = {"ha": "center", "va": "top", "color": INK, "linespacing": 1.4}
     style["parse_math"] = False
     figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
@@ -704,12 +701,23 @@ def _write_above(
         figure.legend(handles=handles, **place, **look)
 
 
-def typed(parameters: Mapping[str, Value], equals: str) -> list[str]:
-    """Parameters of a scene as they may be typed: ``n_gap=1.46``."""
-    return [
-        f"{name}{equals}{f'{value:g}' if isinstance(value, float) else str(value).lower()}"
-        for name, value in parameters.items()
-    ]
+def heading(
+    name: str,
+    overrides: Iterable[str],
+    parameters: Mapping[str, Value],
+    equals: str = "\xa0=\xa0",
+    letters: int = 190,
+    most_lines: int = 2,
+) -> tuple[str, str]:
+    """Title and parameters of a scene as they stand above its picture."""
+    changed = ", ".join(said(key, parameters[key]) for key in overrides)
+    title = textwrap.shorten(f"{name} {changed and 'with'} {changed}", 90)
+    # in small print, as they may be typed; a line ends between parameters
+    shown = ",  ".join(
+        f"{key}{equals}{f'{value:g}' if isinstance(value, float) else str(value).lower()}"
+        for key, value in parameters.items()
+    )
+    return title, textwrap.fill(shown, letters, max_lines=most_lines, placeholder=" …")
 
 
 def closer_view(cut: CrossSection, crystal: int) -> tuple[float, float, float]:

@@ -10,7 +10,6 @@ import pickle
 import subprocess
 import sys
 import tempfile
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,9 +27,9 @@ from scipy.spatial import ConvexHull, QhullError
 
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.files import attributes, refuse_suffix, write_bytes
-from mcrim_mitsuba.core.numbers import Value, said
+from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.output.cross_section import SectionAxes, closer_view, typed
+from mcrim_mitsuba.output.cross_section import SectionAxes, closer_view, heading
 from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -167,17 +166,6 @@ def apart(wanted: ArrayLike, heights: ArrayLike, low: float, high: float) -> np.
     # the nearest values that never fall: neighbours that collide move together
     spread = isotonic_regression(np.asarray(wanted, dtype=float) - ends[:-1]).x
     return np.clip(spread, low, max(low, high - ends[-1])) + ends[:-1]
-
-
-def heading(
-    name: str, overrides: Iterable[str], parameters: Mapping[str, Value]
-) -> tuple[str, str]:
-    """Title and parameters of a scene as they stand above its picture."""
-    changed = ", ".join(said(key, parameters[key]) for key in overrides)
-    title = textwrap.shorten(f"{name} {changed and 'with'} {changed}", 90)
-    # in small print, as they stand in a scene; a line ends between parameters
-    shown = ",  ".join(typed(parameters, "\xa0=\xa0"))
-    return title, textwrap.fill(shown, 190, max_lines=2, placeholder=" …")
 
 
 def _tone(light: np.ndarray) -> np.ndarray:

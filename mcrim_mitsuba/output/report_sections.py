@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
-from mcrim_mitsuba.campaign.measurements import SAMPLE, Reading
+from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, SAMPLE, Reading
 from mcrim_mitsuba.campaign.reduction import LIMIT_MB
 from mcrim_mitsuba.core.files import attributes, json_text, read_bytes, sha256
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
@@ -25,7 +25,7 @@ from mcrim_mitsuba.effects.effect import modules_of
 from mcrim_mitsuba.efficiency.lighting import Light, follow_light
 from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.inference.next_measurements import NextMeasurement
+from mcrim_mitsuba.inference.next_measurements import READING, NextMeasurement
 from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
 from mcrim_mitsuba.output import photograph
@@ -143,7 +143,12 @@ def gather(
     with_effects = campaign.with_effects(repaired.effects)
     # in the coupling of the highest index: a filled gap shows what may be in it
     bench = describe(with_effects, scene, couplings[-1], run, draw=drawn is None)
-    to_build = next((new for new in repaired.diagnosis.next_measurements if new.builds), None)
+    of_light = (
+        new
+        for new in repaired.diagnosis.next_measurements
+        if new.kind.split(" + ")[0] == READING and new.parameters.get(KIND, LIGHT) == LIGHT
+    )
+    to_build = next(of_light, None)
     return Sections(
         repaired=repaired,
         efficiencies=efficiencies(calibration),

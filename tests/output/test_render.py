@@ -12,7 +12,8 @@ from test_cross_section import TEXTS
 
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.output.photograph import apart, heading, render
+from mcrim_mitsuba.output.cross_section import heading
+from mcrim_mitsuba.output.photograph import apart, render
 from mcrim_mitsuba.scene.scene_file import read_scene
 
 #: Scene, what is changed, and its parts, lowest first.
