@@ -241,7 +241,8 @@ def shares_text(diagnosis: Diagnosis) -> str:
     percents: dict[str, float] = {}
     for name, p in diagnosis.probabilities.items():
         if name != OTHERS and (p >= 0.01 or name in NO_EFFECTS):
-            what = NO_EFFECTS.get(name) or " with ".join(titles_of(diagnosis, name.split(" + ")))
+            causes = name.split(" + ")
+            what = " with ".join(NO_EFFECTS.get(c) or diagnosis.titles.get(c, c) for c in causes)
             percents[what] = round(100.0 * p, 0 if 0.0095 <= p <= 0.9905 else 1)
     left = round(100.0 - sum(percents.values()), 1)
     if not percents:

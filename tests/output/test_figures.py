@@ -30,6 +30,7 @@ from mcrim_mitsuba.output import figure_style
 from mcrim_mitsuba.output import fit_figures as comparison
 from mcrim_mitsuba.output import fit_figures as profiles
 from mcrim_mitsuba.output import laboratory_figures as histograms
+from mcrim_mitsuba.output.sentences import shares_text
 
 HOSTILE = (
     "a label that goes on and on, with n_gap = 1.46 and an aperture of 7 mm " * 3,
@@ -295,7 +296,11 @@ def test_error_bars_now_and_after_the_next_reading():
 def test_an_effect_with_something_unknown_has_its_probability():
     """Where nothing else was likely the ranking's bars were all empty."""
     likely = {f"{by.FIRST} + unknown": 0.99, f"{by.FIRST} + {by.SECOND}": 0.01, "none": 0.0}
-    singles, rest = staircase._rows(by.diagnosis("missing_effect", probabilities=likely))
+    found = by.diagnosis("missing_effect", probabilities=likely)
+    assert f"{by.TITLES[by.FIRST]} with something that is in no catalogue 99 %" in shares_text(
+        found
+    )
+    singles, rest = staircase._rows(found)
     assert not any(row.probability for row in singles)
     ((name, p),) = [(row.name, row.probability) for row in rest]
     assert p == 0.99 and "no catalogue" in name.replace("\n", " ")
