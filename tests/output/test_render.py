@@ -15,6 +15,9 @@ from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.output.cross_section import heading
 from mcrim_mitsuba.output.photograph import apart, render
 from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.transport.photograph import surface_triangles
+from mcrim_mitsuba.transport.photograph_parts import PhotographedBench
+from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Scene, what is changed, and its parts, lowest first.
 CASES = tables_of(__file__)["cases"]
@@ -89,6 +92,21 @@ def test_the_bench_alone_has_no_labels(picture):
     place = np.s_[top - 40 : bottom - 40, left:right]  # the panel begins 40 pixels below the top
     assert (high, wide) == (236, 356) and made.view[place].std() < 4
     assert made.pixels[top:bottom, left:right].std() > 20
+
+
+def test_rims_of_plates_and_rough_faces_are_frosted(tmp_path):
+    """A clear rim showed the plate's edges as a ladder; a hazy cube looked polished."""
+    path = tmp_path / "hazy.xml"
+    path.write_text(add("surface_haze", read_scene(SCENES / "camoo4.xml")), encoding="utf-8")
+    for scene, hazy in ((SCENES / "camoo4.xml", False), (path, True)):
+        model = Simulation(scene, check=False).model
+        parts = PhotographedBench(model, surface_triangles(model), {"crystal": 2.0}).parts()
+        rough = {
+            part.name: [b.finish.roughness for b in part.bodies if b.finish.kind == "glass"]
+            for part in parts
+        }
+        assert sorted(rough["window"]) == [0.0] * 3 + [0.4] * 4
+        assert (min(rough["crystal"]) > 0.0) == hazy == (max(rough["crystal"]) > 0.0)
 
 
 def test_detector_is_red(picture):
