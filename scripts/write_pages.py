@@ -76,11 +76,11 @@ def _command(
 def effects_table() -> Iterator[str]:
     """All effects of the catalogue, a row for each parameter."""
     rows = [
-        (f"[{effect.name}](#{effect.name})", *cells, _prediction(effect))
+        (f"[{effect.name}](#{effect.name})", effect.group, *cells, _prediction(effect))
         for effect in catalogue().values()
         for cells in map(_parameter_cells, effect.parameters or (None,))
     ]
-    yield from table(("effect", "parameter", "range", "absent at", "predicted by"), *rows)
+    yield from table(("effect", "part", "parameter", "range", "absent at", "predicted by"), *rows)
 
 
 def effects_sections() -> Iterator[str]:

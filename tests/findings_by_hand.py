@@ -242,7 +242,8 @@ def quick_report(by_hand: Diagnosis) -> Iterator[pytest.MonkeyPatch]:
         found = repairing.repair(campaign, run=replace(run, photons=2000))
         return replace(found, diagnosis=by_hand)
 
-    blank = SimpleNamespace(picture=np.zeros((920, 1440, 3), np.uint8), trouble="")
+    sheets = np.zeros((920, 1440, 3), np.uint8), np.zeros((472, 712, 3), np.uint8)
+    blank = SimpleNamespace(picture=sheets, trouble="")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reporting, "repair", repair)
         patch.setattr(photograph, "begin_photograph", lambda *_: blank)

@@ -6,6 +6,7 @@ with other names get none, and are told in words alone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -20,6 +21,10 @@ _RIM = 10.0
 #: Pixels that a gap is thick at least, and a mask: both are thinner than a line.
 _GAP = 5.0
 _MASK = 3.0
+_ROUGH = 2.0
+_SIDES = ("x", "y", "width", "height")
+#: Of all faces of the crystal.
+_ROUGHNESSES = ("roughness_alpha", "ground_alpha", "rms_roughness_nm")
 _CRYSTAL = ("crystal_width_mm", "crystal_height_mm")
 _BENCH = (*_CRYSTAL, "gap_mm", "n_gap", "window_width_mm", "window_thickness_mm")
 #: What is told of a bench, whether readings differ in it or not.
@@ -57,13 +62,53 @@ def bench_picture(reading: Reading, values: Mapping[str, Value]) -> dict[str, An
         box("window", window, plate, thick * per_mm),
         box("detector", window, plate + thick * per_mm, _MASK),
     ]
-    radius = float(values.get("aperture_radius_mm", window))
-    if radius < window / 2:
-        ring = (window / 2 - radius) * per_mm
-        left = box("mask", window, plate - _MASK, _MASK) | {"width": ring}
-        shapes += [left, left | {"x": middle + radius * per_mm}]
+    radius, off = (
+        float(values.get(name, absent)) * per_mm
+        for name, absent in (("aperture_radius_mm", window), ("mask_offset_mm", 0.0))
+    )
+    plane = box("mask", window, plate - _MASK, _MASK)
+    ends = (plane["x"], middle + off - radius), (middle + off + radius, _WIDTH - plane["x"])
+    shapes += [plane | {"x": low, "width": high - low} for low, high in ends if low < high]
+    shapes += _added(shapes[0], shapes[1], per_mm, values)
     end = plate + thick * per_mm + _MASK + _RIM
     return {"width": _WIDTH, "height": round(end, 1), "shapes": shapes}
+
+
+def _added(
+    crystal: Mapping[str, Any], gap: Mapping[str, Any], per_mm: float, values: Mapping[str, Value]
+) -> list[dict[str, Any]]:
+    """What effects add to a bench, by the sizes of theirs among its parameters."""
+
+    def size(*names: str) -> float:
+        return max(float(values.get(name, 0.0)) for name in names)
+
+    x, y, wide, tall = (crystal[name] for name in _SIDES)
+    foot, right = y + tall, x + wide
+    filled = float(gap["kind"] == "liquid")
+    bubble, disc = size("bubble_fraction"), math.sqrt(size("bubble_area_fraction") * 4.0 / math.pi)
+    collar, leg = filled * size("collar_mm") * per_mm, size("chamfer_mm") * per_mm
+    rough = {
+        face: _ROUGH
+        * any(map(size, (*_ROUGHNESSES, f"{face}_roughness_alpha", f"ground_{face}_alpha")))
+        for face in ("top", "side", "bottom")
+    }
+    white = size("top_reflectance", "wrap_reflectance")
+    bars = [
+        ("air", x, foot, filled * bubble * wide, gap["height"]),
+        ("air", x + 0.5 * (1.0 - disc) * wide, foot, filled * disc * wide, gap["height"]),
+        *(("liquid", left, foot - collar, _GAP, collar) for left in (x - _GAP, right)),
+        *(("air", left, y, leg, leg) for left in (x, right - leg)),
+        *(("air", left, y, rough["side"], tall) for left in (x, right - _ROUGH)),
+        ("air", x, y, wide, rough["top"]),
+        ("air", x, foot - _ROUGH, wide, rough["bottom"]),
+        ("mask", x, y - _MASK, wide, _MASK * bool(white)),
+    ]
+    look = {"mask": {"opacity": 1.0 - 0.7 * white}}
+    return [
+        {"kind": kind, **dict(zip(_SIDES, sides, strict=True)), **look.get(kind, {})}
+        for kind, *sides in bars
+        if min(sides[2:]) > 0.0
+    ]
 
 
 def _beam(wide: float, tall: float, axis: str) -> dict[str, Any]:

@@ -146,7 +146,9 @@ def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
 @options.option(
     "--sure", options.Number("P", 0.5, 1.0), "Probability from which it is named.", default=0.9
 )
-@options.figure("the ranking of the effects")
+@options.figure(
+    "the ranking of the effects (and the light yield's error after further readings, NAME_next)"
+)
 @options.effect_photons
 @options.work
 def diagnose(campaign, figure, json_file, work, without, only, sure) -> None:

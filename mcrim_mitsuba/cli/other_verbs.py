@@ -103,18 +103,21 @@ _COLOURS = {"+": "green", "-": "red", "@": "cyan"}
 
 
 def _listing() -> str:
-    """The catalogue, one line each."""
-    catalogue = effects.catalogue().values()
+    """The catalogue, one line each below the part of the bench."""
+    groups = [effect.group for effect in effects.catalogue().values()]
+    catalogue = sorted(effects.catalogue().values(), key=lambda effect: groups.index(effect.group))
     wide = max(len(effect.name) for effect in catalogue)
     lines = []
     for effect in catalogue:
+        if (heading := f"  {effect.group}:") not in lines:
+            lines.append(heading)
         ranges = (
             (p.name, "off by" * bool(p.nominal), f"{p.minimum:g}..{p.maximum:g}", p.unit)
             for p in effect.parameters
         )
         values = "; ".join(" ".join(filter(None, words)) for words in ranges)
         where = "for campaigns only" if effect.edit is None else values or "on or off"
-        lines.append(f"  {effect.name:{wide}}  {capital(effect.title)} ({where})")
+        lines.append(f"    {effect.name:{wide}}  {capital(effect.title)} ({where})")
     return "\b\nThe catalogue:\n" + "\n".join(lines)
 
 

@@ -25,6 +25,16 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 WRONG = "wrong:"
 #: Today's names of effects, and of their parameters, by those that older files and commands have.
 OLD_NAMES = {"saturation": "nonlinearity"}
+#: By family of effects the part of the bench that they change, after its sign.
+_GROUPS = {
+    "source": "✦ source",
+    **dict.fromkeys(("bulk", "light"), "◆ crystal"),
+    "surface": "▨ surface",
+    "gap": "≡ gap",
+    **dict.fromkeys(("housing", "alignment"), "⌂ surroundings"),
+    **dict.fromkeys(("detector reflects", "detector accepts"), "◉ detector"),
+    **dict.fromkeys(("readings", "beam"), "∿ readings"),
+}
 _COORDINATES = ("linear", "reciprocal", "logarithmic")
 
 Columns = Mapping[str, np.ndarray]
@@ -305,6 +315,11 @@ class Effect:
     family: str = "others"
     #: How to look for it without any fit, in a sentence or two.
     look: str = ""
+
+    @property
+    def group(self) -> str:
+        """The part of the bench that it changes, after a sign of one letter: ``≡ gap``."""
+        return _GROUPS.get(self.family, "• others")
 
     def missing(self, parameters: Parameters) -> str | None:
         """A parameter that the effect needs and that a scene's, or a campaign's, lack."""

@@ -92,11 +92,13 @@ class FinalStep(RepairStep):
 
 
 def final_step(last: RepairStep, final: Calibration) -> FinalStep:
-    """What follows the last step of a repair, by the fit of the mended campaign."""
+    """What takes the place of the last step of a repair, by the fit of the mended campaign."""
     squares = [row.pull**2 for row in final.rows if row.use]
     unknown = dict.fromkeys(("added", "left_out_error", "delta_chi2_sigma"))
     fields = {name: getattr(final, name) for name in ("chi2", "ndf", "p_value", "parameters")}
-    fields |= {"rms_pull": (sum(squares) / len(squares)) ** 0.5, "title": "all simulated together"}
+    # without a step of its own it was chosen by hand
+    title = f"+ {last.title}, simulated" if last.effects else "all simulated together"
+    fields |= {"rms_pull": (sum(squares) / len(squares)) ** 0.5, "title": title}
     return FinalStep(**vars(last) | unknown | fields)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import textwrap
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -47,8 +46,6 @@ _STYLES = BARS | {_CORRECTION: {"facecolor": "white", "edgecolor": style.DARK}}
 #: Inches of a panel of the budget.
 _BUDGET_WIDE = 3.5
 _HIGH = 2.5
-#: Of the line above the panels.
-_LETTERS_PER_INCH = 11.5
 #: Rows for which there is room, lest few bars become thick.
 _FEWEST_ROWS = 5
 
@@ -77,11 +74,6 @@ def draw_budget(calibration: Calibration) -> style.Drawing:
     figure = style.canvas(max(_BUDGET_WIDE * across + 1.3, 7.2), _HIGH * down + 0.9)
     for axes, (name, estimate) in zip(style.panels(figure, len(fitted)), fitted, strict=True):
         _draw_contributions(axes, name, estimate)
-    light = calibration.parameters.get(LIGHT_YIELD)
-    if light is not None and light.at_bound is None:
-        letters = round(_LETTERS_PER_INCH * figure.get_figwidth())
-        lines = (textwrap.fill(line, letters) for line in _spelled_out(light).split("\n"))
-        figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=11)
     style.legend_of(
         figure, [Patch(label=kind, **bar) for kind, bar in BARS.items()], "lower center", 3
     )
@@ -137,19 +129,6 @@ def _bar(axes: Axes, place: int, kind: str, size: float, text: str, colour: str 
     """A bar in the look of its kind, with what it stands for at the right of its end."""
     axes.barh(place, size, height=0.66, lw=1, **_STYLES[kind])
     style.text_after_bar(axes, text, (size, place), color=colour)
-
-
-def _spelled_out(light: ParameterEstimate) -> str:
-    """How the light yield's error adds up, in two lines: parts in words, and their squares."""
-    percent_by_origin = {
-        part.origin: number(100 * part.sigma / light.value)
-        for part in contributions(light)
-        if part.origin not in ("systematic, together", "total")
-    }
-    words = ", ".join(f"{origin} {size} %" for origin, size in percent_by_origin.items())
-    squares = " + ".join(f"{size}²" for size in percent_by_origin.values())
-    total = 100 * light.sigma / light.value
-    return f"Light yield {estimate_text(light)} ph/keV: {words}\n√({squares}) % = {number(total)} %"
 
 
 # The whole budget of a campaign, what its model leaves out included.

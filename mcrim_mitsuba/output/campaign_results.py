@@ -168,6 +168,12 @@ class HypothesesResult(CampaignShown, SideBySide):
 class DiagnosisResult(CampaignShown, Diagnosis):
     """Which effects of the catalogue explain a campaign's misfit."""
 
+    @property
+    def pictures(self) -> tuple[str, ...]:
+        """Names of its figures; what comes next is one where it lowers the light yield's error."""
+        lower = any(new.light_yield_sigma for new in self.next_measurements)
+        return super().pictures if lower else super().pictures[:1]
+
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class RepairResult(FittedResult, Diagnosis):

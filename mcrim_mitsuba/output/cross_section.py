@@ -5,10 +5,12 @@ A few photons' paths, traced by the transport itself, show which fates light mee
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
+import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -22,16 +24,18 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy.ndimage import binary_erosion
 
+from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
 from mcrim_mitsuba.core.numbers import Value, said
 from mcrim_mitsuba.output.figure_style import fate_style, ordered, paper
 from mcrim_mitsuba.transport.check import volume_indices
-from mcrim_mitsuba.transport.cut import CrossSection, cross_section, masked
+from mcrim_mitsuba.transport.cut import CrossSection, Trace, cross_section, masked
 from mcrim_mitsuba.transport.launch_plan import LANES
-from mcrim_mitsuba.transport.scene_model import SceneModel
+from mcrim_mitsuba.transport.scene_model import SceneModel, Surface
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.scene.check_text import Interface
+    from mcrim_mitsuba.output.scene_results import CheckResult
+    from mcrim_mitsuba.scene.check_text import Interface, SceneProblem
     from mcrim_mitsuba.scene.scene_file import SceneFile
     from mcrim_mitsuba.transport.collection import Trail
     from mcrim_mitsuba.transport.simulation import Simulation
@@ -42,7 +46,21 @@ COLOURS = ("#7aa6cf", "#f7e7b9", "#bcd3b4", "#d9a48f", "#9a86b8", "#8fb5b0")
 #: Colours of lines: of most, of the detector, of what is neither volume nor detector.
 INK = "#222222"
 _DETECTOR = "#b3261e"
+_FAULT = "#ff1f1f"
 _OTHER = "#777777"
+#: What effects have added, by an attribute of a face that tells how much, and by its name's end.
+_ADDED_INK = "#00838f"
+_FINISHES = {
+    "roughness": "rough face, α = {:.2g}",
+    "hazy_part": "hazy face, {:.0%} scattered",
+    "surface_loss": "lossy face, {:.2g} of every reflection",
+    "contact": "wrapping in contact, {:.0%}",
+}
+_ADDED = {
+    "_bubble": "air bubble in the gap",
+    "chamfers": "bevelled edge",
+    "_wet": "collar of the liquid",
+}
 #: Pixels of a cell of the grid on which labels find their place.
 _CELL = 3
 #: Pixels of the space beside and above a label.
@@ -134,10 +152,35 @@ class SectionAxes:
             if kind != "dielectric":
                 self.named.setdefault(text, []).append(trace.points)
             self.line(trace.points, *styles.get(kind, (_OTHER, 3.0)))
+            self._draw_added(surface, trace, band)
         for trace in masked(self.model, self.cut):
             radius = self.model.surfaces[trace.surface].aperture_radius_mm
-            self.named.setdefault(f"black mask, hole radius {radius:g} mm", []).append(trace.points)
+            x, y = self.model.surfaces[trace.surface].axis_mm
+            text = f"black mask, hole radius {radius:g} mm"
+            text += f" about x = {x:g}, y = {y:g} mm" if x or y else ""
+            self.named.setdefault(text, []).append(trace.points)
             self.line(trace.points, "black", 5.0)
+
+    def _draw_added(self, surface: Surface, trace: Trace, band: np.ndarray) -> None:
+        """What an effect has made of a face: rough, hazy, bevelled, wet, beside a bubble, ..."""
+        texts = [
+            text.format(getattr(surface, name)).replace("%", " %")
+            for name, text in _FINISHES.items()
+            if getattr(surface, name)
+        ]
+        texts += [text for end, text in _ADDED.items() if surface.name.endswith(end)]
+        if surface.exterior == self.model.endless:  # a strip of the liquid outside
+            outline = np.vstack([trace.points, trace.points[::-1] - band * trace.back])
+            self.ax.fill(*outline.T, color=COLOURS[1], lw=0)
+        if not texts:
+            return
+        text = ", ".join(texts)
+        self.named.setdefault(text, []).append(trace.points)
+        self.line(trace.points, _ADDED_INK, 3.0)
+        if surface.roughness or surface.haze:  # like the profile of a rough face, outside of it
+            profile = trace.points - 0.25 * band * trace.back
+            (line,) = self.ax.plot(*profile.T, color=_ADDED_INK, lw=0.8)
+            line.set_sketch_params(scale=3, length=20, randomness=6)
 
     def in_cells(self, points: np.ndarray) -> np.ndarray:
         """Points (mm) in units of cells from the lower left corner, shape (n, 2)."""
@@ -233,7 +276,7 @@ class SectionAxes:
         few = targets[:: len(targets) // _PLACING.most_targets + 1] + 0.5
         targets = few if beside else targets.mean(axis=0)[None]
         room = ~self.taken & ((self.owner == volume) | (beside & (self.owner == 0)))
-        look: dict[str, Any] = {"size": 10.5, "va": "bottom", "bbox": paper(0.7, 1.0), "zorder": 6}
+        look: dict[str, Any] = {"size": 10.5, "va": "bottom", "zorder": 6}
         for text in texts:
             artist = self.ax.text(0, 0, text, parse_math=False, **look)
             w, h = size = (artist.get_window_extent().size + 2 * _CLEAR).astype(int) // _CELL + 1
@@ -256,6 +299,8 @@ class SectionAxes:
             points = np.array([corner, start[best, target], targets[target]]) * _CELL + self.box.p0
             corner, *link = self.ax.transData.inverted().transform(points)
             artist.set_position(corner)
+            if on_paths[best].any():  # else it would only hide what it names
+                artist.set_bbox(paper(0.7, 1.0))
             if beside and leader:
                 self._draw_leader(np.array(link), targets[target].astype(int))
             self.taken[row : row + h, column : column + w] = True
@@ -474,8 +519,9 @@ def _handles(paths: tuple[DrawnTrail, ...], shares: dict[str, float]) -> list[Li
 SUFFIXES = (".png", ".svg", ".pdf")
 
 _FRAME = "#d95f02"
-#: Inches of the figure, of its margins and of the enlarged part.
+#: Inches of the figure, of a brief one, of its margins and of the enlarged part.
 _WIDTH_IN = 12.0
+_BRIEF_IN = 7.0
 _MARGIN_IN = 0.85
 _DETAIL_IN = 2.6
 _DPI = 150
@@ -493,55 +539,129 @@ def write_cross_section(figure: Figure, path: str | Path) -> None:
     write_bytes(path, content.getvalue())
 
 
-def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ...]) -> Figure:
+def figure_of_check(checked: CheckResult) -> Figure:
+    """The cross-section of a checked scene, what is wrong with it in red.
+
+    Where such a scene cannot be assembled it is drawn as its file has it, without parameters that
+    differ, or with 1 for the parameter that is wrong; where that is no scene either, what is wrong
+    is written, with its line.
+    """
+    from mcrim_mitsuba.transport.check import interfaces_of
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    fault, run = next(iter(checked.problems), None), checked.run
+    words = set(re.findall(r"\w+", fault.text if fault else ""))
+    named = checked.parameters.keys() & words - checked.overrides.keys()
+    attempts: list[dict[str, Any]] = [dict(checked.overrides), dict.fromkeys(named, 1.0)]
+    for overrides in attempts:
+        with contextlib.suppress(InputError):
+            simulation = Simulation(
+                checked.scene, overrides, variant=run.variant, threads=run.threads, check=False
+            )
+            faces = interfaces_of(simulation.file, simulation.model)
+            return cross_section_figure(simulation, faces, fault=fault)
+    assert fault is not None  # what is sound can be assembled
+    lines = textwrap.wrap(visible(str(fault)), 100)
+    if fault.line is not None and fault.path is not None:
+        text = Path(fault.path).read_text(encoding="utf-8", errors="replace").splitlines()
+        lines += ["", f"{fault.line:5}  {visible(text[fault.line - 1])[:90]}"]
+    figure = Figure(figsize=(_WIDTH_IN, 0.4 + 0.26 * len(lines)), dpi=_DPI)
+    FigureCanvasAgg(figure)
+    look: dict[str, Any] = {"color": _FAULT, "size": 11, "family": "monospace", "va": "center"}
+    figure.text(0.02, 0.5, "\n".join(lines), parse_math=False, **look)
+    return figure
+
+
+def _faulty_surfaces(
+    model: SceneModel, interfaces: Sequence[Interface], fault: SceneProblem
+) -> set[int]:
+    """Indices of the surfaces that a problem names, or of those around a volume that it names.
+
+    Where it names neither, parts of its words count: ``gap_mm`` is of the gap, ``alpha`` of the
+    crystal.
+    """
+    words = set(re.findall(r"\w+", fault.text.replace("alpha_", "crystal_alpha_")))
+    words |= {face.surface for face in interfaces if face.line == fault.line}
+    for names in (words, {part for word in words for part in word.split("_")}):
+        surfaces = {i for i, surface in enumerate(model.surfaces) if surface.name in names}
+        volumes = [i for i, name in enumerate(model.volume_names) if i and name in names]
+        if surfaces or volumes:
+            return surfaces or {i for volume in volumes for i in model.bordering(volume)}
+    return set()
+
+
+def cross_section_figure(
+    simulation: Simulation,
+    interfaces: tuple[Interface, ...],
+    *,
+    brief: bool = False,
+    fault: SceneProblem | None = None,
+) -> Figure:
     """A loaded scene to scale in the vertical plane through the middle of its crystal.
 
     A second panel enlarges the thinnest layer at the crystal's lower edge, where there is one. Both
-    show a few photons' paths, projected on the plane; the same scene gives the same ones.
+    show a few photons' paths, projected on the plane; the same scene gives the same ones. A crystal
+    that lies is cut across its axis as well. If `brief`, it is for a narrow column, without paths,
+    second panel and heading. What a `fault` is about is red; no light goes through such a scene.
     `interfaces` come from `transport.check.interfaces_of`: they know the indices.
     """
     crystal, file, model = simulation.crystal, simulation.file, simulation.model
     cut = cross_section(model, float(crystal.lower[1] + crystal.upper[1]) / 2)
-    box, inner_in = model.scene.bbox(), _WIDTH_IN - 1.5 * _MARGIN_IN
-    (middle_x, _, middle_z), (wide, _, tall) = np.array(box.center()), np.array(box.extents())
-    per_mm = min((inner_in - 2.0) / wide, 4.6 / tall)  # with inches of air for labels
+    width_in, above_in = (_BRIEF_IN, 0.4) if brief else (_WIDTH_IN, 1.75)
+    box, inner_in = model.scene.bbox(), width_in - 1.5 * _MARGIN_IN
+    middle_x, middle_y, middle_z = np.array(box.center())
+    wide, _, tall = np.array(box.extents())
+    # with inches of air for labels
+    per_mm = min((inner_in - 2.0) / wide, (2.8 if brief else 4.6) / tall)
     main_in = max(tall * per_mm + 1.5, 2.9)
     closer_x, closer_z, closer_half = closer_view(cut, crystal.volume)
     times = round(_DETAIL_IN / 2 / closer_half / per_mm, 1)
-    below_in, frame = _MARGIN_IN, None
-    if times > 1.3:  # else the second panel would show hardly more
+    # a crystal that lies along x shows what it is across that
+    lies = not brief and any(wall.circle.axis == 0 for wall in model.walls)
+    first_in = _MARGIN_IN + lies * (main_in + 0.9)
+    below_in, frame = first_in, None
+    if times > 1.3 and not brief:  # else the second panel would show hardly more
         below_in += _DETAIL_IN + 0.9
         reach = closer_half * np.array([inner_in / _DETAIL_IN, 1.0])
         frame = np.array([closer_x, closer_z]) + np.multiply.outer([-1, 1], reach)
-    paths, shares = chosen_paths(simulation, frame)
+    faulty = _faulty_surfaces(model, interfaces, fault) if fault else set()
+    paths, shares = ((), {}) if brief or fault else chosen_paths(simulation, frame)
     handles = _handles(paths, shares)
-    height_in = below_in + main_in + 1.75 + 0.22 * -(-len(handles) // _PER_ROW)
-    figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor="white")
+    height_in = below_in + main_in + above_in + 0.22 * -(-len(handles) // _PER_ROW)
+    figure = Figure(figsize=(width_in, height_in), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)  # which measures texts
-    _write_above(figure, file, handles if paths else ())
+    if not brief:
+        _write_above(figure, file, handles if paths else (), fault)
 
     def panel(
-        bottom_in: float, tall_in: float, x: float, z: float, half: float, title: str
+        cut: CrossSection, bottom_in: float, tall_in: float, x: float, z: float, half: float
     ) -> SectionAxes:
         """Axes so high above the figure's lower edge, and so tall, about x and z +- half (mm)."""
         place = np.array([_MARGIN_IN, bottom_in, inner_in, tall_in])
-        ax = figure.add_axes(place / np.tile([_WIDTH_IN, height_in], 2), xlabel="x (mm)")
+        ax = figure.add_axes(place / np.tile([width_in, height_in], 2))
+        ax.set_xlabel(f"{'yx'[cut.normal]} (mm)")
         wide = half * inner_in / tall_in
         ax.set(xlim=(x - wide, x + wide), ylim=(z - half, z + half), ylabel="z (mm)")
-        ax.set_title(title, size=11, loc="left")
+        ax.set_title(_plane(cut, model), size=11, loc="left")
         section = SectionAxes(ax, cut, model, interfaces)
-        for path in paths:
+        for trace in cut.traces:
+            if trace.surface in faulty:
+                section.line(trace.points, _FAULT, 4.0)
+                section.named.setdefault("here", []).append(trace.points)
+        for path in paths if cut.normal else ():
             draw_path(ax, path)
             section.avoid(path.points)
         return section
 
-    title = f"Vertical plane y = {cut.y_mm:.3g} mm, to scale"
-    if np.isfinite([s.aperture_radius_mm for s in model.surfaces]).any() and not masked(model, cut):
-        title += "; the black mask does not reach it"
-    main = panel(below_in, main_in, middle_x, middle_z, main_in / 2 / per_mm, title)
+    half = main_in / 2 / per_mm
+    main = panel(cut, below_in, main_in, middle_x, middle_z, half)
+    if lies:
+        across = cross_section(model, float(crystal.lower[0] + crystal.upper[0]) / 2, normal=0)
+        panel(across, _MARGIN_IN, main_in, middle_y, middle_z, half).label()
     if frame is not None:
+        detail = panel(cut, first_in, _DETAIL_IN, closer_x, closer_z, closer_half)
         title = f"The frame above, enlarged {times:g} times, alike in both directions"
-        detail = panel(_MARGIN_IN, _DETAIL_IN, closer_x, closer_z, closer_half, title)
+        detail.ax.set_title(title, size=11, loc="left")
         detail.measure()
         detail.label(brief=True)
         # corners come from left to right, the lower one first: here they go around
@@ -552,17 +672,27 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
     return figure
 
 
-def _write_above(figure: Figure, file: SceneFile, handles: Sequence[Line2D]) -> None:
-    """The scene's name with its parameters, and the legend of the paths, if there are any."""
+def _plane(cut: CrossSection, model: SceneModel) -> str:
+    """Where the plane of a panel lies, and that it misses the mask where it does."""
+    plane = f"Vertical plane {'xy'[cut.normal]} = {cut.level_mm:.3g} mm, to scale"
+    has_mask = np.isfinite([surface.aperture_radius_mm for surface in model.surfaces]).any()
+    missed = has_mask and not masked(model, cut)
+    return f"{plane}; the black mask does not reach it" if missed else plane
+
+
+def _write_above(
+    figure: Figure, file: SceneFile, handles: Sequence[Line2D], fault: SceneProblem | None
+) -> None:
+    """The scene's name with its parameters, and the legend of the paths or what is wrong."""
     height_in = figure.get_figheight()
-    changed = ", ".join(said(name, file.parameters[name]) for name in file.overrides)
-    title = textwrap.shorten(f"{file.path.name} {changed and 'with'} {changed}", 90)
-    # in small print
-    shown = textwrap.fill(",  ".join(typed(file.parameters, "=")), 150, max_lines=3)
+    title, shown = heading(file.path.name, file.overrides, file.parameters, "=", 150, 3)
     style: dict[str, Any] = {"ha": "center", "va": "top", "color": INK, "linespacing": 1.4}
     style["parse_math"] = False
     figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
     figure.text(0.5, 1 - 0.55 / height_in, shown, size=9.5, **style)
+    if fault is not None:
+        words = textwrap.fill(visible(str(fault)), 130)
+        figure.text(0.5, 1 - 1.08 / height_in, words, size=11, **style | {"color": _FAULT})
     if handles:
         look: dict[str, Any] = {"fontsize": 9.5, "title": _TITLE, "title_fontsize": 9.5}
         look |= {"frameon": False, "handlelength": 2.6, "columnspacing": 1.4, "borderaxespad": 0.0}
@@ -571,12 +701,23 @@ def _write_above(figure: Figure, file: SceneFile, handles: Sequence[Line2D]) -> 
         figure.legend(handles=handles, **place, **look)
 
 
-def typed(parameters: Mapping[str, Value], equals: str) -> list[str]:
-    """Parameters of a scene as they may be typed: ``n_gap=1.46``."""
-    return [
-        f"{name}{equals}{f'{value:g}' if isinstance(value, float) else str(value).lower()}"
-        for name, value in parameters.items()
-    ]
+def heading(
+    name: str,
+    overrides: Iterable[str],
+    parameters: Mapping[str, Value],
+    equals: str = "\xa0=\xa0",
+    letters: int = 190,
+    most_lines: int = 2,
+) -> tuple[str, str]:
+    """Title and parameters of a scene as they stand above its picture."""
+    changed = ", ".join(said(key, parameters[key]) for key in overrides)
+    title = textwrap.shorten(f"{name} {changed and 'with'} {changed}", 90)
+    # in small print, as they may be typed; a line ends between parameters
+    shown = ",  ".join(
+        f"{key}{equals}{f'{value:g}' if isinstance(value, float) else str(value).lower()}"
+        for key, value in parameters.items()
+    )
+    return title, textwrap.fill(shown, letters, max_lines=most_lines, placeholder=" …")
 
 
 def closer_view(cut: CrossSection, crystal: int) -> tuple[float, float, float]:

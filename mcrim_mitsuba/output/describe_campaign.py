@@ -481,28 +481,29 @@ def explanation_pieces(diagnosis: Diagnosis) -> list[Piece]:
     ]
 
 
-def others_table(diagnosis: Diagnosis) -> Table:
-    """What the result would be with each leading explanation; no rows where it is not fitted."""
+def others_table(diagnosis: Diagnosis, simulated: Calibration, effects: tuple[str, ...]) -> Table:
+    """What the result would be with each leading explanation; no rows where it is not fitted.
 
-    def light(candidate: Candidate) -> Cell | str:
-        estimate = candidate.light_yield_ph_per_keV
-        return "-" if estimate is None else measured(estimate["value"], estimate.get("sigma"))
+    With the `effects` that were added it is that of their simulation.
+    """
 
-    def scattering(candidate: Candidate) -> Cell | str:
-        estimate = candidate.parameters.get(ALPHA_SCAT)
-        return "-" if estimate is None else measured(estimate.value, estimate.sigma)
+    def parameters(candidate: Candidate) -> Mapping[str, ParameterEstimate]:
+        return (simulated if candidate.effects == effects else candidate).parameters
 
     columns = (
         Column("explanation", of=lambda c: sentences.in_words(diagnosis, c.effects)),
-        Column("light yield (photons per keV)", LIGHT_YIELD, of=light),
-        Column("scattering (1/cm)", ALPHA_SCAT, of=scattering),
+        Column(
+            "light yield (photons per keV)",
+            LIGHT_YIELD,
+            of=lambda c: estimated(parameters(c).get(LIGHT_YIELD)),
+        ),
+        Column(
+            "scattering (1/cm)", ALPHA_SCAT, of=lambda c: estimated(parameters(c).get(ALPHA_SCAT))
+        ),
     )
-    candidates = (
-        candidate
-        for candidate in sentences.leading_candidates(diagnosis)
-        if candidate.light_yield_ph_per_keV is not None or ALPHA_SCAT in candidate.parameters
-    )
-    return records("with each of the explanations", columns, candidates)
+    leading = sentences.leading_candidates(diagnosis)
+    fitted = [c for c in leading if {LIGHT_YIELD, ALPHA_SCAT} & parameters(c).keys()]
+    return records("with each of the explanations", columns, fitted)
 
 
 def _brief(effects: Table, diagnosis: Diagnosis) -> Iterator[Piece]:

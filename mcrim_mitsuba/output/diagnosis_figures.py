@@ -1,4 +1,4 @@
-"""Effects by what they gain, and how the misfit falls while they are added."""
+"""Effects by what they gain, how the misfit falls while they are added, what comes next."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 from scipy.special import chdtri
 
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.core.rounding import capital, number, p_equals, p_text, probability
+from mcrim_mitsuba.core.rounding import capital, number, p_equals, p_text, percent, probability
 from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosis, FinalStep, RepairStep, final_step
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
@@ -51,6 +51,8 @@ _BARS_WIDTH = sum(_BARS_WIDTHS)
 _LETTERS = 34
 #: Height of a size's second line in rows.
 _FURTHER_LINE = 0.5
+#: Rows besides the leading ones: the likeliest.
+_MOST_ROWS = 8
 _OTHERS = "#b9c4d0"
 #: What is no effect has a row from here on.
 _LEAST_PROBABILITY = 1e-3
@@ -58,7 +60,7 @@ _LEAST_PROBABILITY = 1e-3
 _LEAST_BESIDES = 0.05
 #: The axis of gains reaches at least so far.
 _LEAST_GAIN = 4.0
-#: For losses it reaches so much of that.
+#: For losses it reaches so much of that; larger ones are told in digits.
 _LOSSES = 0.6
 #: Of a candidate, columns of the CSV.
 _STATISTICS = (
@@ -117,8 +119,8 @@ class _Row:
         return style.DARK if self.leading else _OTHERS
 
 
-def _rows(diagnosis: Diagnosis) -> tuple[list[_Row], list[_Row]]:
-    """Single effects, among them what is no effect by its probability; and the best pairs."""
+def _rows(diagnosis: Diagnosis) -> list[list[_Row]]:
+    """Single effects, among them what is no effect by its probability; pairs: the likeliest."""
     leading, probabilities = leading_candidates(diagnosis), diagnosis.probabilities
 
     def row(candidate: Candidate) -> _Row:
@@ -144,17 +146,21 @@ def _rows(diagnosis: Diagnosis) -> tuple[list[_Row], list[_Row]]:
             titles = (diagnosis.titles.get(c, NO_EFFECTS.get(c, c)) for c in causes)
             lines = (textwrap.fill(style.shortened(t, 2 * _LETTERS), _LETTERS) for t in titles)
             pairs.append(_Row(capital("\n+ ".join(lines)), p))
-    return singles, pairs
+    likeliest = sorted([*singles, *pairs], key=lambda row: -(row.probability or 0.0))[:_MOST_ROWS]
+    return [[row for row in rows if row.leading or row in likeliest] for rows in (singles, pairs)]
 
 
 @style.styled
 def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
-    """Effects by how likely they are and what they gain, single ones above the best pairs.
+    """The likeliest effects and what they gain, single ones above pairs; the others are counted.
 
     `brief` leaves the sizes to a table elsewhere: it fits a narrow page.
     """
     numbers, (singles, pairs) = _ranking_numbers(diagnosis), _rows(diagnosis)
     rows = [*singles, *pairs]
+    tried = len(diagnosis.candidates) + len(diagnosis.pairs)
+    if left_out := tried - sum(row.candidate is not None for row in rows):
+        rows.append(_Row(f"and {left_out} more, none of them likelier", None))
     if not rows:
         figure, words = style.canvas(_BARS_WIDTH + 5.6, 1.6), "no effect was tried: "
         _title_ranking(figure, diagnosis)
@@ -233,7 +239,7 @@ def _draw_probabilities(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) ->
 
 
 def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
-    """Falls of chi2 with errors; a loss that leaves gains no room ends at the edge, in digits."""
+    """Falls of chi2 with errors; a loss that leaves gains no room is told in digits alone."""
     tried = [
         (place, row, row.candidate)
         for place, row in zip(places, rows, strict=True)
@@ -245,13 +251,13 @@ def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
     left = -_LOSSES * right
     for place, row, candidate in tried:
         beyond = candidate.delta_chi2 - candidate.delta_chi2_sigma < left
-        error: dict[str, Any] = {"xerr": None if beyond else candidate.delta_chi2_sigma}
-        error["error_kw"] = {"ecolor": style.WARM, "capsize": 3, "lw": 1.5}
-        axes.barh(place, max(candidate.delta_chi2, left), color=row.colour, **_BAR, **error)
-        if beyond:
-            style.text_after_bar(axes, f"◂ {number(candidate.delta_chi2)}", (left, place))
-    lowest = min(candidate.delta_chi2 - candidate.delta_chi2_sigma for _, _, candidate in tried)
-    axes.set_xlim(max(left, 1.08 * min(lowest, 0.0)), right)
+        if beyond:  # a bar that is cut off would be read
+            style.text_after_bar(axes, f"χ² rises by {number(-candidate.delta_chi2)}", (0, place))
+            continue
+        error: dict[str, Any] = {"ecolor": style.WARM, "capsize": 3, "lw": 1.5}
+        sigma = candidate.delta_chi2_sigma
+        axes.barh(place, candidate.delta_chi2, color=row.colour, xerr=sigma, error_kw=error, **_BAR)
+    axes.set_xlim(1.08 * min(0.0, axes.dataLim.x0), right)
     axes.axvline(0, color=style.GREY, lw=0.9)
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set_xlabel("fall of χ² when the effect is added")
@@ -302,54 +308,89 @@ def _draw_threshold(axes: Axes, edges: np.ndarray, chi2: float, rows: Sequence[_
     return True
 
 
+# The light yield's error now, and after each of the measurements that are proposed.
+
+#: Proposals that are drawn: the best.
+_MOST_PROPOSALS = 5
+
+
+@style.styled
+def draw_next(diagnosis: Diagnosis) -> style.Drawing:
+    """The light yield's error bar now, and after each of the proposed measurements."""
+    averaged, columns = diagnosis.light_yield_averaged, "words value sigma sigma_otherwise".split()
+    errors = [
+        (new.words, new.light_yield_sigma, new.light_yield_sigma_otherwise)
+        for new in diagnosis.next_measurements
+        if new.light_yield_sigma is not None
+    ]
+    if averaged is None or not errors:
+        words = "nothing is proposed that would lower the light yield's error"
+        return style.Drawing(style.sentence_instead(words), columns, ())
+    value = averaged.value
+    rows: list[tuple[str, float, float, float | None]] = [("now", value, averaged.sigma, None)]
+    rows += [
+        (f"after: {words}", value, value * sigma, value * otherwise if otherwise else None)
+        for words, sigma, otherwise in errors[:_MOST_PROPOSALS]
+    ]
+    names = [textwrap.fill(style.shortened(name, 84), 28) for name, *_ in rows]
+    figure = style.canvas(6.4, 1.2 + 0.6 * len(rows))
+    axes = figure.subplots()
+    axes.axvspan(value - averaged.sigma, value + averaged.sigma, color=style.PALE, lw=0)
+    for place, (_, _, sigma, otherwise) in enumerate(rows):
+        colour = style.DARK if place else style.WARM
+        bar: dict[str, Any] = {"color": colour, "capsize": 4}
+        if otherwise:
+            axes.errorbar(value, place, xerr=otherwise, lw=1.0, ls="", **bar)
+        axes.errorbar(value, place, xerr=sigma, fmt="o", ms=6, lw=3.0, **bar)
+        end = (value + max(sigma, otherwise or 0.0), place)
+        style.text_after_bar(axes, f" ± {percent(sigma / value)}", end)
+    style.rows_of_bars(axes, names, fontsize=9.5, parse_math=False)
+    axes.margins(x=0.16)
+    thin = "; thin: in the other outcomes" if any(row[-1] for row in rows) else ""
+    axes.set_xlabel(f"{style.parameter_title(LIGHT_YIELD)}, one standard error{thin}")
+    return style.Drawing(figure, columns, rows)
+
+
 # How the error falls while effects are added one by one, and what the results become.
 
 
 #: From this chi2 per degree of freedom its axis is logarithmic.
 _STEEP = 10.0
-#: p-values below are drawn there.
-_SMALLEST_P = 1e-30
 #: Width of a character of a step's name, inches.
 _STEP_PER_CHARACTER = 0.085
 
 
 @style.styled
 def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None) -> style.Drawing:
-    """How the misfit falls while effects are added.
+    """How the misfit falls while effects are added, and what becomes of the light yield.
 
-    The first step is the campaign as it came. The `final` fit is that of the mended campaign, its
-    effects simulated together where the fit ends; the steps add the effects' responses.
+    The first step is the campaign as it came. The last one is the `final` fit, if it is given: that
+    of the mended campaign, its effects simulated together; steps add the effects' responses.
     """
-    stairs = [*steps, *([] if final is None else [final_step(steps[-1], final)])]
+    stairs = list(steps) if final is None else [*steps[:-1], final_step(steps[-1], final)]
+    numbers = _staircase_numbers(stairs)
+    if len(stairs) == 1:  # dots in empty frames would say no more
+        step = stairs[0]
+        words = f"nothing was added: χ² = {number(step.chi2)}, ndf {step.ndf}"
+        return style.Drawing(style.sentence_instead(f"{words}, {p_equals(step.p_value)}"), *numbers)
     names = [style.shortened(added_text(step), 36) for step in stairs]
-    width = max(9.0, 3.0 + 2.0 * len(stairs))
-    figure = style.canvas(width, 8.6)
-    grid = figure.subplots(3, 2, sharex=True)
-    per_ndf, p_values, pulls, left_out, light, scattering = grid.ravel()
-    _draw_chi2(per_ndf, stairs)
-    _draw_p_values(p_values, stairs)
-    for axes, title, name in (
-        (pulls, "rms pull", "rms_pull"),
-        (left_out, "rms error on readings left out", "left_out_error"),
-    ):
-        heights = [getattr(step, name) for step in stairs]
-        axes.axhline(1, color=style.GREY, lw=1, ls="--")
-        texts = ["not computed" if h is None else number(h) for h in heights]
-        _stairs(axes, stairs, heights, texts)
-        axes.set_ylim(bottom=0)
-        _staircase_title(axes, f"{title} (in σ; dashed: 1)")
     # a campaign without an absolute light yield has a scale
     light_or_scale = LIGHT_YIELD if any(LIGHT_YIELD in s.parameters for s in stairs) else SCALE
-    _draw_parameter(light, stairs, light_or_scale)
-    _draw_parameter(scattering, stairs, ALPHA_SCAT)
-    # where names are wider than a step of a panel, half the figure less its margin
-    slanted = max(map(len, names)) * _STEP_PER_CHARACTER > (width / 2 - 0.8) / len(names)
+    count = 1 + any(light_or_scale in step.parameters for step in stairs)
+    width = max(4.6 * count, 2.0 + 1.4 * count * len(stairs))
+    figure = style.canvas(width, 4.2)
+    panels = style.panels(figure, count, sharex=True)
+    _draw_chi2(panels[0], stairs)
+    for axes in panels[1:]:
+        _draw_parameter(axes, stairs, light_or_scale)
+    # where names are wider than a step of a panel, its part of the figure less its margin
+    slanted = max(map(len, names)) * _STEP_PER_CHARACTER > (width / count - 0.8) / len(names)
     look: dict[str, Any] = {"rotation": 0, "ha": "center", "fontsize": 10, "parse_math": False}
     look |= {"rotation": 25, "ha": "right"} if slanted else {}
-    for axes in grid[-1]:
+    for axes in panels:
         axes.set_xticks(range(len(names)), names, rotation_mode="anchor", **look)
         axes.set_xlim(-0.5, len(names) - 0.5)
-    return style.Drawing(figure, *_staircase_numbers(stairs))
+    return style.Drawing(figure, *numbers)
 
 
 def _staircase_numbers(stairs: Sequence[RepairStep]) -> style.Numbers:
@@ -376,7 +417,8 @@ def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
     highest = max((height for height in heights if math.isfinite(height)), default=1.0)
     if highest > _STEEP:
         axes.set_yscale("log")
-    _stairs(axes, steps, heights, [f"{number(s.chi2)} / {s.ndf}" for s in steps])
+    texts = [f"{number(s.chi2)} / {s.ndf}\n{p_equals(s.p_value)}" for s in steps]
+    _stairs(axes, steps, heights, texts)
     if highest > _STEEP:
         axes.set_ylim(0.2, 4 * highest)
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -385,31 +427,10 @@ def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
     _staircase_title(axes, "χ² per degree of freedom (band: 1 ± √(2/ndf))")
 
 
-def _draw_p_values(axes: Axes, steps: Sequence[RepairStep]) -> None:
-    """p-values, on a logarithmic axis with some six ticks from 1 down to below the smallest."""
-    heights = [math.nan if s.p_value is None else max(s.p_value, _SMALLEST_P) for s in steps]
-    axes.axhline(ACCEPTABLE_P, color=style.GREY, lw=1, ls="--")
-    axes.set_yscale("log")
-    _stairs(axes, steps, heights, [p_text(s.p_value) for s in steps])
-    smallest = min((h for h in heights if math.isfinite(h)), default=1.0)
-    # a power of ten below the smallest, or below 0.01
-    lowest = math.floor(min(math.log10(smallest), -2.0)) - 1
-    # room for numbers above the points, but no ticks: there are no such probabilities
-    axes.set_ylim(10.0 ** (1.1 * lowest), 10.0 ** (-0.2 * lowest))
-    powers = range(0, lowest - 1, -math.ceil(-lowest / 6))
-    axes.yaxis.set_major_locator(FixedLocator([10.0**power for power in powers]))
-    axes.yaxis.set_minor_locator(NullLocator())
-    _staircase_title(axes, f"p-value (dashed: {ACCEPTABLE_P:g})")
-
-
 def _draw_parameter(axes: Axes, steps: Sequence[RepairStep], name: str) -> None:
-    """A fitted parameter with its errors, without where it is at a bound; or that it is held."""
+    """A fitted parameter with its errors, without where it is at a bound."""
     estimates = [step.parameters.get(name) for step in steps]
     _staircase_title(axes, style.parameter_title(name))
-    if not any(estimates):
-        axes.text(0.5, 0.5, "not fitted", transform=axes.transAxes, ha="center", color=style.GREY)
-        axes.set_yticks([])
-        return
     heights = [e.value if e else None for e in estimates]
     errors = [e.sigma if e and e.at_bound is None else 0.0 for e in estimates]
     _stairs(axes, steps, heights, [estimate_text(e) if e else "" for e in estimates], errors)

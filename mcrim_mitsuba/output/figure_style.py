@@ -22,10 +22,10 @@ from matplotlib.figure import Figure
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import visible
 from mcrim_mitsuba.core.files import refuse_suffix, write_bytes, write_text
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.codec import csv_lines
 from mcrim_mitsuba.output.describe_scene import fate_words
+from mcrim_mitsuba.output.sentences import title_of
 
 #: Columns and rows of the CSV beside a figure.
 Numbers = tuple[Sequence[str], Sequence[Sequence[object]]]
@@ -264,15 +264,13 @@ class Drawing:
 _KNOWN_PARAMETERS = {
     LIGHT_YIELD: "light yield (photons per keV)",
     SCALE: "scale (signal per efficiency)",
-    ALPHA_SCAT: r"$α_\mathrm{scat}$ (1/cm)",
-    ALPHA_ABS: r"$α_\mathrm{abs}$ (1/cm)",
 }
 
 
 def parameter_title(name: str) -> str:
-    """A parameter in words with its unit; others by their names, which end in the unit."""
+    """A parameter in words with its unit."""
     # a $ would begin a formula
-    return _KNOWN_PARAMETERS.get(name) or shortened(name, 44).replace("$", r"\$")
+    return _KNOWN_PARAMETERS.get(name) or shortened(title_of(name), 44).replace("$", r"\$")
 
 
 def signal_title(unit: str, line_end: str = " ") -> str:

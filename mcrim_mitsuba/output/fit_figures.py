@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from mcrim_mitsuba.core.numbers import SOURCE_Z, said, titled
-from mcrim_mitsuba.core.rounding import number, p_equals, pdg
+from mcrim_mitsuba.core.rounding import capital, number, p_equals, pdg
 from mcrim_mitsuba.inference.compare import Comparison, Suspect
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
@@ -23,6 +23,7 @@ from mcrim_mitsuba.inference.hypotheses import FittedHypothesis, SideBySide
 from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.settings import CURVE, ONE_SIGMA, TWO_SIGMA
 from mcrim_mitsuba.output import figure_style as style
+from mcrim_mitsuba.output.sentences import quantity
 
 _OPEN: dict[str, Any] = {"marker": "o", "mfc": "white", "mew": 1.6}
 _AS_IT_IS: dict[str, Any] = _OPEN | {"color": style.WARM, "ms": 6.5, "ls": ""}
@@ -33,8 +34,6 @@ _SUSPECTS: dict[str, Any] = {
     "bad_reading": ("suspected bad reading", {"facecolor": "#f6dccd", "edgecolor": style.WARM}),
     "swapped_rows": ("suspected swap", _HATCHED | {"edgecolor": style.WARM}),
 }
-#: After a repair the suspicion is history.
-_NO_LONGER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.6", "ls": ":"}
 #: Half the width of a prediction's dash.
 _DASH = 0.32
 #: How far before and after stand apart.
@@ -84,17 +83,18 @@ def draw_comparison(
         return style.Drawing(figure, *_comparison_numbers(before, after, suspects))
     figure, upper, lower = _over_readings(before.rows, (1.4, 1))
     places = np.arange(len(before.rows))
-    _draw_signals(upper, places, before, after, unit)
     name = "as it is" if isinstance(before, Comparison) else "fit"
     fits = [_Pulls(name, before, _AS_IT_IS)]
     if after is not None:
-        words = f"with {style.shortened(added, 56)}" if added else "mended"
+        words = f"with {style.shortened(added, 48)}" if added else "mended"
         fits = [_Pulls(name, before, _AS_IT_IS, -_APART), _Pulls(words, after, _MENDED, _APART)]
+    _draw_signals(upper, places, fits, unit)
     _draw_pulls(lower, places, fits)
-    _mark_suspects(lower, places, before, mended=after is not None)
-    for row, tick in zip(before.rows, lower.get_xticklabels(), strict=True):
-        if row.label in suspects:
-            tick.set(fontweight="bold", color=style.WARM if after is None else style.GREY)
+    if after is None:  # after a repair suspicions are history
+        _mark_suspects(lower, places, before)
+        for row, tick in zip(before.rows, lower.get_xticklabels(), strict=True):
+            if row.label in suspects:
+                tick.set(fontweight="bold", color=style.WARM)
     return style.Drawing(figure, *_comparison_numbers(before, after, suspects))
 
 
@@ -241,15 +241,14 @@ def draw_hypotheses(compared: SideBySide) -> style.Drawing:
     return style.Drawing(figure, columns, rows)
 
 
-def _suspects(fit: Calibration) -> tuple[Suspect, ...]:
+def _suspects(fit: Calibration | FittedHypothesis) -> tuple[Suspect, ...]:
     """Readings that may be wrong, of which only a comparison knows."""
     return fit.suspects if isinstance(fit, Comparison) else ()
 
 
-def _draw_signals(
-    axes: Axes, places: np.ndarray, before: Calibration, after: Calibration | None, unit: str
-) -> None:
+def _draw_signals(axes: Axes, places: np.ndarray, fits: Sequence[_Pulls], unit: str) -> None:
     """Readings with errors, open if not used; predictions as dashes; beams by a second scale."""
+    before = fits[0].fit
     used = np.array([row.use for row in before.rows], bool)
     # 1 for light; the height at which a transmittance of 1 is drawn
     factors = style.units_of_signals([(row.measured, row.of_beam) for row in before.rows])
@@ -264,21 +263,20 @@ def _draw_signals(
             bars.lines[0].set(mfc=face)
             bars.set_label(label)
             handles.append(bars)
-    fits: list[tuple[Calibration, str, str, Any]] = [(before, "model", style.WARM, (0, (2.2, 1.2)))]
-    fits += [(after, "mended model", style.DARK, "-")] if after is not None else []
-    for fit, label, colour, line_style in fits:
-        dash: dict[str, Any] = {"color": colour, "lw": 2, "ls": line_style}
+    for (name, fit, mark, _), line_style in zip(fits, ((0, (2.2, 1.2)), "-"), strict=False):
+        # in the colour of its pulls, by the same name
+        dash: dict[str, Any] = {"color": mark["color"], "lw": 2, "ls": line_style}
         models = factors * [row.model for row in fit.rows]
         axes.hlines(models, places - _DASH, places + _DASH, zorder=4, **dash)
-        handles.append(Line2D([], [], label=label, **dash))
-    handles += _mark_suspects(axes, places, before, mended=after is not None)
+        handles.append(Line2D([], [], label="model" if name == "fit" else f"model {name}", **dash))
+    handles += _mark_suspects(axes, places, before) if len(fits) == 1 else []
     axes.set_ylabel(style.signal_title(unit, "\n"), parse_math=False)
     axes.set_ylim(bottom=min(0.0, 1.1 * float(measured.min(initial=0.0))))
     style.open_axes(axes, "y")
     of_beam = [row.of_beam for row in before.rows]
     if any(of_beam):
         style.second_scale(axes, float(factors[of_beam.index(True)]))
-    style.legend_above(axes, handles, ncols=3, handlelength=1.8)
+    style.legend_above(axes, handles, ncols=2, handlelength=1.8)
 
 
 def _bands_of_pulls(axes: Axes) -> None:
@@ -310,16 +308,14 @@ def _draw_pulls(axes: Axes, places: np.ndarray, fits: Sequence[_Pulls]) -> None:
 
 
 def _mark_suspects(
-    axes: Axes, places: np.ndarray, before: Calibration, *, mended: bool
+    axes: Axes, places: np.ndarray, before: Calibration | FittedHypothesis
 ) -> list[Patch]:
-    """Draw a column behind each suspect reading, pale once mended; gives entries of the legend."""
+    """Draw a column behind each suspect reading; gives entries of the legend."""
     position = {row.label: place for row, place in zip(before.rows, places, strict=True)}
     handles = []
     for kind, (title, box) in _SUSPECTS.items():
         suspects = (suspect for suspect in _suspects(before) if suspect.kind == kind)
         labels = {label for suspect in suspects for label in suspect.labels}
-        if mended:
-            title, box = f"{title} before the repair", box | _NO_LONGER
         for label in labels & position.keys():
             axes.axvspan(position[label] - 0.42, position[label] + 0.42, zorder=2, **box)
         if labels:
@@ -418,7 +414,8 @@ def _draw_profile(axes: Axes, profile: Profile) -> None:
     axes.axvline(profile.value, color=style.DARK, lw=0.8)
     axes.set(xlim=(low, high), ylim=(0, _TOP), xlabel=style.parameter_title(profile.name))
     axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.set_title(_interval(profile), loc="left", fontsize=11, parse_math=False)
+    title = f"{capital(style.shortened(quantity(profile.name), 26))}: {_interval(profile)}"
+    axes.set_title(title, loc="left", fontsize=11, parse_math=False)
     style.open_axes(axes, "x")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -78,7 +79,8 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
     """Histograms of photons per event with their peaks; higher pedestals go out of the picture."""
     figure = style.canvas(7.2 if len(fitted) <= _MOST_INSIDE else 10.4, 5.0)
     axes = figure.add_subplot()
-    handles, tops = [], []
+    handles: list[Artist] = []
+    tops = []
     styles = _styles([entry.group for entry in fitted])
     few = len(fitted) <= _MOST_STEPS
     for (name, histogram, peak, _), (colour, line, marker) in zip(fitted, styles, strict=True):
@@ -93,6 +95,8 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
             fine = np.linspace(peak.low, peak.high, 300)
             counts = peak.counts_at(fine)
             axes.plot(fine, counts, **look)
+            # windows of several lie on each other: together as dark as one
+            axes.axvspan(peak.low, peak.high, color=colour, alpha=0.12 / len(fitted), lw=0)
             axes.plot(fine, peak.background_at(fine), color=colour, **_BACKGROUND)
             height = float(peak.counts_at(np.array(peak.centroid)))
             axes.vlines(peak.centroid, 0, height, color=colour, lw=1, ls=":", zorder=3)
@@ -102,6 +106,7 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
         handles.append(Line2D([], [], label=_label(name, peak), **look | mark))
     if any(entry.peak is not None for entry in fitted):
         handles.append(Line2D([], [], color=style.GREY, label="background", **_BACKGROUND))
+        handles.append(Patch(color=style.PALE, label="window of the fit"))
     top = _HISTOGRAM_ROOM * max(tops, default=1.0)
     highest = max((float(entry.histogram.counts.max()) for entry in fitted), default=1.0)
     # without events a peak's height may be 0

@@ -460,6 +460,11 @@ def draw_table(tabulated: EtaTable) -> style.Drawing:
     Raises InputError if there are more lines than can be told apart, or nothing varies.
     """
     along, others, lines = lines_of_table(tabulated.axes)
+    table_rows = [list(row.values()) for row in tabulated.rows]
+    if tabulated.eta.size == 1:  # a dot in an empty frame
+        value, sigma = tabulated.eta.item(), tabulated.eta_sigma.item()
+        point = style.sentence_instead(f"one point: η = {pdg(value, sigma)}")
+        return style.Drawing(point, tabulated.columns, table_rows)
     place = list(tabulated.axes).index(along)
     # (lines, points)
     etas, sigmas = (
@@ -485,4 +490,4 @@ def draw_table(tabulated: EtaTable) -> style.Drawing:
     style.open_axes(axes)
     if others:
         figure.legend(loc="outside upper center", ncols=min(3, lines), fontsize=9, frameon=False)
-    return style.Drawing(figure, tabulated.columns, [list(row.values()) for row in tabulated.rows])
+    return style.Drawing(figure, tabulated.columns, table_rows)

@@ -10,7 +10,6 @@ import pickle
 import subprocess
 import sys
 import tempfile
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,9 +27,9 @@ from scipy.spatial import ConvexHull, QhullError
 
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.files import attributes, refuse_suffix, write_bytes
-from mcrim_mitsuba.core.numbers import Value, said
+from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.output.cross_section import SectionAxes, closer_view, typed
+from mcrim_mitsuba.output.cross_section import SectionAxes, closer_view, heading
 from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -169,17 +168,6 @@ def apart(wanted: ArrayLike, heights: ArrayLike, low: float, high: float) -> np.
     return np.clip(spread, low, max(low, high - ends[-1])) + ends[:-1]
 
 
-def heading(
-    name: str, overrides: Iterable[str], parameters: Mapping[str, Value]
-) -> tuple[str, str]:
-    """Title and parameters of a scene as they stand above its picture."""
-    changed = ", ".join(said(key, parameters[key]) for key in overrides)
-    title = textwrap.shorten(f"{name} {changed and 'with'} {changed}", 90)
-    # in small print, as they stand in a scene; a line ends between parameters
-    shown = ",  ".join(typed(parameters, "\xa0=\xa0"))
-    return title, textwrap.fill(shown, 190, max_lines=2, placeholder=" …")
-
-
 def _tone(light: np.ndarray) -> np.ndarray:
     """Linear light, 1 an empty floor, as values of sRGB; what is brighter fades into white."""
     linear = _FLOOR * light
@@ -232,7 +220,7 @@ def draw_edge(
     section.measure()
     section.label(brief=True)
     sheet.note(text for text in axes.texts if text.get_text())
-    return np.array([x, cut.y_mm, z]), sheet.scale * high / (2 * half)
+    return np.array([x, cut.level_mm, z]), sheet.scale * high / (2 * half)
 
 
 def label_parts(
@@ -295,8 +283,10 @@ _SPACINGS = (0.6, 0.5, 0.42, 0.36, 0.3, 0.26)
 class Rendering:
     """A picture of a bench."""
 
-    #: ndarray of uint8, shape (height, width, 3)
+    #: ndarray of uint8, shape (height, width, 3): All of it, and the bench as it stands alone,
+    #: without labels.
     pixels: np.ndarray
+    view: np.ndarray
     #: All texts, with their places.
     labels: tuple[Label, ...]
     #: Names of the parts that are shown, lowest first.
@@ -388,12 +378,15 @@ def render(
         for body in part.bodies
     ]
     _expose(sheet, [bench, apart], panels, samples, run)
+    left, top, wide, high = (round(scale * side) for side in BENCH_PANEL)
+    view = np.clip(sheet.pixels[top : top + high, left : left + wide], 0.0, 1.0)
     place_mm, per_mm = draw_edge(sheet, simulation, interfaces)
     _write_titles(sheet, file, per_mm / panels[0].per_mm(place_mm), scale)
     label_bench(sheet, panels[0], place_mm)
     label_parts(sheet, panels[1], parts, lifts)
     return Rendering(
         pixels=sheet.finished(),
+        view=np.round(255.0 * view).astype(np.uint8),
         labels=tuple(sheet.labels),
         parts=tuple(part.name for part in parts),
         samples=samples,
@@ -481,7 +474,8 @@ _REFUSED = 2
 class Photograph:
     """A picture that is being drawn; it is waited for when it is asked for.
 
-    The process writes a PNG to its standard output, or a line to its standard error and fails.
+    The process writes pickled pixels to its standard output, or a line to its standard error and
+    fails.
     """
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
@@ -491,8 +485,8 @@ class Photograph:
         return {"_developed": self._developed}  # a process cannot be sent to another
 
     @property
-    def picture(self) -> NDArray[np.uint8] | None:
-        """Pixels, or None: a report does without."""
+    def picture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]] | None:
+        """Pixels of the whole and of the bench as it stands, or None: a report does without."""
         return self._developed[0]
 
     @property
@@ -501,16 +495,13 @@ class Photograph:
         return self._developed[1]
 
     @functools.cached_property
-    def _developed(self) -> tuple[NDArray[np.uint8] | None, str]:
+    def _developed(self) -> tuple[tuple[NDArray[np.uint8], NDArray[np.uint8]] | None, str]:
         """The pixels that the process drew, and why there are none."""
-        png, complaint = self._process.communicate()
+        pixels, complaint = self._process.communicate()
         if self._process.returncode != 0:
             words = complaint.decode(errors="replace").strip() or "the process that draws it ended"
             return None, words.splitlines()[-1]
-        from PIL import Image
-
-        with Image.open(io.BytesIO(png)) as picture:
-            return np.asarray(picture.convert("RGB")), ""
+        return pickle.loads(pixels), ""
 
 
 def begin_photograph(scene: SceneFile, run: Run, scale: float) -> Photograph:
@@ -530,14 +521,14 @@ def begin_photograph(scene: SceneFile, run: Run, scale: float) -> Photograph:
 
 
 def main() -> int:
-    """Draw what standard input asks for; the PNG goes to standard output."""
+    """Draw what standard input asks for; the pixels go to standard output."""
     try:
         scene, run, scale = pickle.load(sys.stdin.buffer)
         picture = render(scene, scale=scale, run=run)
     except InputError as error:
         print(error.problem, file=sys.stderr)
         return _REFUSED
-    sys.stdout.buffer.write(picture.png())
+    pickle.dump((picture.pixels, picture.view), sys.stdout.buffer)
     return 0
 
 

@@ -418,7 +418,7 @@ def check(
     -------
     CheckResult
         With ``ok``, ``problems``, ...; a file that cannot be read is a problem too. Picture
-        ``cross_section``, of a sound scene.
+        ``cross_section``, what is wrong in red.
     """
     from mcrim_mitsuba.output.scene_results import CheckResult
     from mcrim_mitsuba.transport.simulation import check_scene

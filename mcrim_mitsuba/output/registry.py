@@ -127,11 +127,7 @@ PRESENTERS = {
     "CheckResult": Presenter(
         kind="check",
         describe=describe_scene.of_check,
-        figures={
-            "cross_section": lambda c: cross_section.cross_section_figure(
-                c.simulation, c.interfaces
-            )
-        },
+        figures={"cross_section": cross_section.figure_of_check},
         names="ok problems parameters interfaces words notes",
     ),
     "CrosscheckResult": Presenter(
@@ -175,7 +171,10 @@ PRESENTERS = {
     "DiagnosisResult": Presenter(
         kind="diagnosis",
         describe=describe_campaign.of_diagnosis,
-        figures={"ranking": diagnosis_figures.draw_ranking},
+        figures={
+            "ranking": diagnosis_figures.draw_ranking,
+            "next": diagnosis_figures.draw_next,
+        },
         names=f"{_DIAGNOSIS} {_PROVENANCE} notes",
     ),
     "RepairResult": Presenter(

@@ -38,14 +38,13 @@ from mcrim_mitsuba.output import figure_style as style
 from mcrim_mitsuba.output.budget_figures import draw_budget
 from mcrim_mitsuba.output.describe_scene import FACES
 from mcrim_mitsuba.output.description import records
-from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
+from mcrim_mitsuba.output.diagnosis_figures import draw_next, draw_ranking, draw_staircase
 from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
 from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 from mcrim_mitsuba.output.light_figures import Lights, draw_arrival, draw_fates
 from mcrim_mitsuba.output.pages import environment
-from mcrim_mitsuba.output.photograph import BENCH_PANEL
-from mcrim_mitsuba.output.report_sections import PICTURE_SCALE, RatioOfSignals, Sections, gather
+from mcrim_mitsuba.output.report_sections import RatioOfSignals, Sections, gather
 from mcrim_mitsuba.output.sentences import in_words
 
 # matplotlib writes texts into comments and a date into the metadata; a page needs neither
@@ -174,6 +173,8 @@ _SHOWN = {
     "ratio": "the ratio of two signals against scattering, simulated and measured",
     "profiles": "how the misfit rises as each parameter leaves its best value",
     "error-budget": "parts of each parameter's error by origin",
+    "next": "the light yield's error now and after each proposed measurement",
+    "next-bench": "the bench of the first proposed reading, cut open, to scale",
     "fates": "what becomes of the light in each coupling",
     "arrival": "where and under which angle light reaches the detector",
     "bench": "picture of the bench, whole, taken apart and cut open",
@@ -206,10 +207,8 @@ def _drawn(sections: Sections) -> dict[str, Picture]:
         pictures["arrival"] = of_drawing("arrival", arrival, _SHOWN["arrival"], map=of_map)
     # last: it may have to be waited for
     photograph = sections.bench.photograph
-    if photograph is not None and (sheet := photograph.picture) is not None:
-        left, top, wide, high = (round(PICTURE_SCALE * side) for side in BENCH_PANEL)
-        view = sheet[top : top + high, left : left + wide]
-        for name, pixels in (("bench", sheet), ("view", view)):
+    if photograph is not None and photograph.picture is not None:
+        for name, pixels in zip(("bench", "view"), photograph.picture, strict=True):
             pictures[name] = of_pixels(name, pixels, _SHOWN[name])
     return pictures
 
@@ -218,7 +217,7 @@ def _drawings(sections: Sections) -> dict[str, style.Drawing]:
     """Figures by their names in `_SHOWN`, those that the campaign has a use for."""
     diagnosis, fit, baseline = sections.diagnosis, sections.calibration, sections.diagnosis.baseline
     unit = sections.campaign.unit
-    drawings = {"comparison": draw_comparison(baseline, unit=unit)}
+    drawings = {}
     if sections.bench.cross_section is not None:
         drawings["cross-section"] = style.Drawing(sections.bench.cross_section, (), ())
     if sections.campaign.raw is not None:
@@ -227,11 +226,17 @@ def _drawings(sections: Sections) -> dict[str, style.Drawing]:
             drawings["detector-efficiency" if kind == "spectra" else kind] = drawing
     if diagnosis.candidates:
         drawings["ranking"] = draw_ranking(diagnosis, brief=True)
+    if (drawing := draw_next(diagnosis)).rows:
+        drawings["next"] = drawing
+    if sections.next_bench is not None:
+        drawings["next-bench"] = style.Drawing(sections.next_bench, (), ())
     if sections.effects:
         if not sections.chosen_by_hand:
             drawings["staircase"] = draw_staircase(diagnosis.repair, fit)
         added = in_words(diagnosis, sections.effects)
         drawings["before-and-after"] = draw_comparison(baseline, fit, added=added, unit=unit)
+    else:
+        drawings["comparison"] = draw_comparison(baseline, unit=unit)
     if sections.ratio is not None:
         drawings["ratio"] = _draw_ratio(sections.ratio)
     if sections.profiles:
@@ -306,8 +311,8 @@ def render(sections: Sections) -> str:
     raw, steps = sections.campaign.raw, sections.diagnosis.repair
     if sections.effects:
         # effects that the user chose were not added one by one
-        steps_before = steps[:1] if sections.chosen_by_hand else steps
-        steps = (*steps_before, final_step(steps[-1], sections.calibration))
+        kept = steps[:1] if sections.chosen_by_hand else steps
+        steps = (*(kept[:-1] or kept), final_step(kept[-1], sections.calibration))
     notes = dict.fromkeys((*sections.calibration.notes, *sections.repaired.provenance.notes))
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     return template.render(

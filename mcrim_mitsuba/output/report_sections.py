@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
-from mcrim_mitsuba.campaign.measurements import SAMPLE, Reading
+from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, SAMPLE, Reading
 from mcrim_mitsuba.campaign.reduction import LIMIT_MB
 from mcrim_mitsuba.core.files import attributes, json_text, read_bytes, sha256
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
@@ -25,11 +25,12 @@ from mcrim_mitsuba.effects.effect import modules_of
 from mcrim_mitsuba.efficiency.lighting import Light, follow_light
 from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.next_measurements import READING, NextMeasurement
 from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
 from mcrim_mitsuba.output import photograph
 from mcrim_mitsuba.output.registry import encoded
-from mcrim_mitsuba.output.sentences import errors_apart, headline
+from mcrim_mitsuba.output.sentences import errors_apart, headline, leading_candidates
 from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.cache_files import Chunk
 from mcrim_mitsuba.scene.check_text import CheckReport
@@ -56,6 +57,10 @@ class Sections:
     ratio: RatioOfSignals | None
     #: With the effects that were added.
     bench: BenchDescription
+    #: The first of the measurements that are proposed for which something is built, and its bench;
+    #: None where nothing is, or where it was drawn before.
+    to_build: NextMeasurement | None
+    next_bench: Figure | None
     #: Where the pictures are kept, and these where they were drawn before: then no light is
     #: followed, and no cross-section and no photograph is made.
     album: RecordCache
@@ -96,7 +101,9 @@ class Sections:
     @property
     def headline(self) -> str:
         """The verdict in a sentence."""
-        return headline(self.diagnosis)
+        leading = leading_candidates(self.diagnosis)
+        is_first = bool(leading) and leading[0].effects == self.effects
+        return headline(self.diagnosis, self.calibration if is_first else None)
 
     def numbers(self) -> dict[str, Any]:
         """The result for JSON."""
@@ -136,12 +143,20 @@ def gather(
     with_effects = campaign.with_effects(repaired.effects)
     # in the coupling of the highest index: a filled gap shows what may be in it
     bench = describe(with_effects, scene, couplings[-1], run, draw=drawn is None)
+    of_light = (
+        new
+        for new in repaired.diagnosis.next_measurements
+        if new.kind.split(" + ")[0] == READING and new.parameters.get(KIND, LIGHT) == LIGHT
+    )
+    to_build = next(of_light, None)
     return Sections(
         repaired=repaired,
         efficiencies=efficiencies(calibration),
         profiles=profiles,
         ratio=ratio_curve(calibration),
         bench=bench,
+        to_build=to_build,
+        next_bench=_drawn(scene, to_build, run) if to_build and drawn is None else None,
         album=album,
         drawn=drawn,
         lights=_lights(couplings, scene, run, stage) if drawn is None else (),
@@ -184,6 +199,17 @@ def scene_of_the_result(
     lacking = [name for name in campaign.effects if not catalogue[name].is_in(campaign.scene)]
     values = {name: estimate.value for name, estimate in calibration.parameters.items()}
     return mended_scene(campaign, (*lacking, *effects), {**calibration.fixed, **values})
+
+
+def _drawn(scene: SceneFile, proposal: NextMeasurement, run: Run) -> Figure:
+    """The bench of a proposed reading."""
+    from mcrim_mitsuba.output.cross_section import cross_section_figure
+    from mcrim_mitsuba.transport.check import interfaces_of
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    simulation = Simulation(scene, proposal.parameters, variant=run.variant, threads=run.threads)
+    interfaces = interfaces_of(simulation.file, simulation.model)
+    return cross_section_figure(simulation, interfaces, brief=True)
 
 
 def _lights(

@@ -118,19 +118,6 @@ class CheckResult(Result, CheckReport):
     overrides: Mapping[str, Any]
     run: Run
 
-    @property
-    def simulation(self) -> Simulation:
-        """The scene, loaded into Mitsuba."""
-        run = self.run
-        return Simulation(
-            self.scene, self.overrides, variant=run.variant, threads=run.threads, check=False
-        )
-
-    @property
-    def pictures(self) -> tuple[str, ...]:
-        """Names of its figures; none of a scene that is not sound."""
-        return super().pictures if self.ok else ()
-
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class CrosscheckResult(Result, Crosscheck):

@@ -241,7 +241,8 @@ def shares_text(diagnosis: Diagnosis) -> str:
     percents: dict[str, float] = {}
     for name, p in diagnosis.probabilities.items():
         if name != OTHERS and (p >= 0.01 or name in NO_EFFECTS):
-            what = NO_EFFECTS.get(name) or " with ".join(titles_of(diagnosis, name.split(" + ")))
+            causes = name.split(" + ")
+            what = " with ".join(NO_EFFECTS.get(c) or diagnosis.titles.get(c, c) for c in causes)
             percents[what] = round(100.0 * p, 0 if 0.0095 <= p <= 0.9905 else 1)
     left = round(100.0 - sum(percents.values()), 1)
     if not percents:
@@ -393,12 +394,18 @@ def short_headline(diagnosis: Diagnosis) -> str:
     return f"{capital(in_words(diagnosis, effects))} {verb} {how_much}"
 
 
-def headline(diagnosis: Diagnosis) -> str:
-    """The verdict in a sentence: an effect with its size and what is gained, or the reason."""
+def headline(diagnosis: Diagnosis, simulated: Calibration | None = None) -> str:
+    """The verdict in a sentence: an effect with its size and what is gained, or the reason.
+
+    Where the effect was `simulated`, with nothing else added, the numbers are that fit's.
+    """
     leading = leading_candidates(diagnosis)
     if diagnosis.verdict != MISSING_EFFECT or not leading:
         return f"{short_headline(diagnosis)}: {diagnosis.reason}"
     best = leading[0]
+    if simulated is not None:
+        numbers = {name: getattr(simulated, name) for name in ("parameters", "chi2", "ndf")}
+        best = replace(best, p_value=simulated.p_value, **numbers)
     return (
         f"{short_headline(diagnosis)} ({together(best.effects)}: {size_text(best)}): chi2 "
         f"{number(diagnosis.baseline.chi2)} -> {number(best.chi2)} "
@@ -855,6 +862,8 @@ def reliability(diagnosis: Diagnosis, fit: Calibration, effects: tuple[str, ...]
     """How far the numbers of a fit with these effects can be believed."""
     words = f"{capital(quality(fit))}."
     if fails(fit):
+        if diagnosis.light_yield_averaged is not None:
+            return f"Only the averaged light yield: all other errors know nothing of it. {words}"
         return f"Do not quote these numbers, whose errors know nothing of it. {words}"
     if not effects:
         return words

@@ -42,11 +42,15 @@ class Trace:
 
 @dataclass(frozen=True)
 class CrossSection:
-    """What the plane ``y = y_mm`` of a scene shows; what no region fills is air."""
+    """What a vertical plane of a scene shows; what no region fills is air.
 
-    y_mm: float
+    Of planes across x, `normal` 0, the places that are called x here are those along y.
+    """
+
+    level_mm: float
     regions: tuple[Region, ...]
     traces: tuple[Trace, ...]
+    normal: int = 1
 
     def area(self, volume: int) -> float:
         """Area (mm2) of a volume, given by its index among ``model.volumes``."""
@@ -68,11 +72,11 @@ class CrossSection:
 _Met = tuple[list[int], list[bool], np.ndarray]
 
 
-def cross_section(model: SceneModel, y_mm: float) -> CrossSection:
-    """Cut a loaded scene (`scene_model.SceneModel`) with the vertical plane ``y = y_mm``."""
+def cross_section(model: SceneModel, level_mm: float, normal: int = 1) -> CrossSection:
+    """Cut a loaded scene with the plane ``y = level_mm``, or across x where `normal` is 0."""
     regions, traces = [], []
     for along in (2, 0):
-        for positions, coords, surfaces, behind in _sweep(model, y_mm, along):
+        for positions, coords, surfaces, behind in _sweep(model, level_mm, normal, along):
             lines = [np.column_stack([positions, c] if along else [c, positions]) for c in coords.T]
             for surface, front, coord, line in zip(surfaces, behind, coords.T, lines, strict=True):
                 # lines show those parts best that are nearly perpendicular to them; rounding
@@ -87,16 +91,18 @@ def cross_section(model: SceneModel, y_mm: float) -> CrossSection:
             for i, ((_, volume), (same, _)) in enumerate(pairwise(sides if along else ())):
                 if volume == same != 0:  # if faces disagree nothing is filled: see `check_scene`
                     regions.append(Region(volume, np.vstack([lines[i], lines[i + 1][::-1]])))
-    return CrossSection(y_mm, tuple(regions), tuple(traces))
+    return CrossSection(level_mm, tuple(regions), tuple(traces), normal)
 
 
-def _sweep(model: SceneModel, y_mm: float, along: int) -> Iterator[tuple]:
-    """Runs of neighbouring parallel lines (`along` 2: vertical, 0: horizontal) that meet the same.
+def _sweep(model: SceneModel, level_mm: float, normal: int, side: int) -> Iterator[tuple]:
+    """Runs of neighbouring parallel lines (`side` 2: vertical, 0: horizontal) that meet the same.
 
     For each: x of vertical or z of horizontal lines, shape (lines,), and z or x of their crossings,
     (lines, crossings), in mm; surfaces and sides of these, as in `volume_consistency.Crossings`.
     """
-    across, tolerance = 2 - along, FINEST * model.size_mm
+    level = 1 - normal
+    along, across = (2, level) if side else (level, 2)
+    tolerance = FINEST * model.size_mm
     boxes = [shape.bbox() for shape in model.shapes]
     edges = np.array([(box.min[across], box.max[across]) for box in boxes]).ravel()
     pending = np.linspace(edges.min(), edges.max(), LINES + 2)[1:-1]
@@ -105,7 +111,7 @@ def _sweep(model: SceneModel, y_mm: float, along: int) -> Iterator[tuple]:
     crossed_by: dict[float, _Met] = {}
     rng = np.random.default_rng(0)
     for _ in range(20):
-        crossed_by |= _lines(model, y_mm + ASIDE * model.size_mm, along, pending)
+        crossed_by |= _lines(model, level_mm + ASIDE * model.size_mm, along, across, pending)
         places = sorted(crossed_by)
         changes = [(a, b) for a, b in pairwise(places) if crossed_by[a][:2] != crossed_by[b][:2]]
         wide = [(a, b) for a, b in changes if b - a > tolerance]
@@ -127,17 +133,19 @@ def _sweep(model: SceneModel, y_mm: float, along: int) -> Iterator[tuple]:
             yield positions, coords, *crossed_by[start][:2]
 
 
-def _lines(model: SceneModel, y: float, along: int, positions: np.ndarray) -> dict[float, _Met]:
+def _lines(
+    model: SceneModel, level: float, along: int, across: int, positions: np.ndarray
+) -> dict[float, _Met]:
     """Surfaces, sides and coordinates of the crossings of parallel lines, by position."""
-    origin, direction = np.full((len(positions), 3), y), np.eye(3)[[along] * len(positions)]
-    origin[:, along], origin[:, 2 - along] = -2.0 * model.size_mm, positions
+    origin, direction = np.full((len(positions), 3), level), np.eye(3)[[along] * len(positions)]
+    origin[:, along], origin[:, across] = -2.0 * model.size_mm, positions
     met = trace_crossings(model, origin, direction)
     met_by: dict[float, _Met] = {}
     for line, distance in enumerate(met.distance):
         count = int(np.isfinite(distance).sum())
         surfaces, behind = (s[line, :count].tolist() for s in (met.surface, met.from_behind))
         coords = met.origin[line, along] + distance[:count]
-        met_by[float(met.origin[line, 2 - along])] = (surfaces, behind, coords)
+        met_by[float(met.origin[line, across])] = (surfaces, behind, coords)
     return met_by
 
 
@@ -157,10 +165,11 @@ def masked(model: SceneModel, cut: CrossSection) -> list[Trace]:
     parts = []
     for trace in cut.traces:
         face, line = model.surfaces[trace.surface], trace.points[trace.points[:, 0].argsort()]
-        (x, y), radius = face.axis_mm, face.aperture_radius_mm
+        x, y = face.axis_mm[:: 1 if cut.normal else -1]
+        radius = face.aperture_radius_mm
         if np.isfinite(radius):
             # rounding must not leave a speck beside a hole as wide as the face
-            half = np.sqrt(max(radius**2 - (cut.y_mm - y) ** 2, 0.0)) + FINEST * model.size_mm
+            half = np.sqrt(max(radius**2 - (cut.level_mm - y) ** 2, 0.0)) + FINEST * model.size_mm
             for rims in ((-np.inf, x - half), (x + half, np.inf)):
                 at = np.clip(line[:, 0], *rims)
                 part = np.column_stack([at, np.interp(at, *line.T)])

@@ -23,6 +23,9 @@ GLOSSY = "glossy"
 METAL = "metal"
 #: Cosine between the normals of two faces that meet in a sharp edge: 25 degrees.
 _SHARP = 0.906
+#: Height over width of a plate, and the roughness of its rim.
+_PLATE = 0.12
+_GROUND_RIM = 0.4
 
 
 @dataclass(frozen=True)
@@ -277,12 +280,14 @@ class PhotographedBench:
         bodies: list[Body] = []
         for number in self._volumes:
             if not self._is_air(number):
-                bodies += _rods(self._enclosing(number), _shade(number))
+                faces = [shape for _, shape in self._enclosing(number)]
+                bodies += _rods(faces, _shade(number))
         for surface, shape in self._faces:
             if surface.seen.kind == DIELECTRIC:
                 inner, outer = map(self._tint, surface.sides)
                 tint = (inner[0] * outer[0], inner[1] * outer[1], inner[2] * outer[2])
-                bodies.append(Body(shape, Finish(GLASS, tint, surface.eta, surface.roughness)))
+                rough = max(surface.roughness, 0.3 * surface.hazy_part)
+                bodies.append(Body(shape, Finish(GLASS, tint, surface.eta, rough)))
             else:
                 bodies.append(Body(shape, _opaque(surface.seen)))
                 if surface.seen.kind == DIFFUSE:
@@ -316,7 +321,7 @@ class PhotographedBench:
         from mcrim_mitsuba.transport.solid_names import named_form
 
         volume = self._model.volumes[number]
-        faces = self._enclosing(number)
+        faces = [shape for _, shape in self._enclosing(number)]
         points = _points(faces)
         index, air = self._indices.get(volume.name), self._is_air(number)
         size = np.ptp(points, axis=0)
@@ -333,14 +338,19 @@ class PhotographedBench:
             details += [f"scatters {scat:.3g} /cm", f"absorbs {absorb:.3g} /cm"]
         bodies: list[Body] = []
         if not air:
-            finish = Finish(GLASS, self._tint(number), index or 1.5)
-            bodies = [Body(shape, finish) for shape in faces] + _rods(faces, _shade(number))
+            plate = size[2] < _PLATE * size[:2].max()
+            for surface, shape in self._enclosing(number):
+                # the rim of a thin plate is ground: clear, it shows its edges as a ladder of images
+                rim = plate and np.ptp(shape.corners[..., :2], axis=(0, 1)).min() < 1e-6
+                rough = max(surface.roughness, 0.3 * surface.hazy_part, _GROUND_RIM * rim)
+                bodies.append(Body(shape, Finish(GLASS, self._tint(number), index or 1.5, rough)))
+            bodies += _rods(faces, _shade(number))
         return BenchPart(volume.name, tuple(details), tuple(bodies), points)
 
-    def _enclosing(self, number: int) -> list[Triangles]:
+    def _enclosing(self, number: int) -> list[tuple[Surface, Triangles]]:
         """The faces that border a volume, as seen from outside it."""
         return [
-            shape if surface.interior == number else shape.reversed()
+            (surface, shape if surface.interior == number else shape.reversed())
             for surface, shape in self._faces
             if surface.interior != surface.exterior and number in surface.sides
         ]

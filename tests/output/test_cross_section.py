@@ -13,11 +13,14 @@ from matplotlib.image import imread
 from places import SCENES, cases_of, tables_of
 from refusals import refusal
 
+import mcrim_mitsuba as mcrim_api
+from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.output.cross_section import (
     COLOURS,
     cross_section_figure,
     write_cross_section,
 )
+from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.check import interfaces_of
 from mcrim_mitsuba.transport.cut import cross_section, masked
 from mcrim_mitsuba.transport.scene_model import DIFFUSE, Surface
@@ -172,6 +175,67 @@ def test_everything_is_named_to_scale_and_nothing_overlaps(case, load):
     assert all(0 < box.x0 and box.x1 < figure.bbox.width for box in heads)
     assert simulation.file.path.name in figure.texts[0].get_text()
     assert all(f"{name}=" in figure.texts[1].get_text() for name in simulation.file.parameters)
+
+
+def test_what_effects_add_to_faces_is_drawn_and_named(tmp_path):
+    """A rough cube, a bubble or a collar looked like the polished bench with a full gap."""
+    for effect, values, words in (
+        ("surface_haze", {"rms_roughness_nm": 20.0}, "hazy face, 58 % scattered"),
+        ("ground_top", {"ground_top_alpha": 0.3}, "rough face, α = 0.3"),
+        ("gap_bubble", {"bubble_fraction": 0.3}, "air bubble in the gap"),
+        ("gel_creep", {"collar_mm": 1.5}, "collar of the liquid"),
+        ("edge_chamfer", {"chamfer_mm": 0.5}, "bevelled edge"),
+        ("mask_offset", {"mask_offset_mm": 3.0}, "about x = 3, y = 0 mm"),
+    ):
+        path = tmp_path / f"{effect}.xml"
+        path.write_text(add(effect, read_scene(SCENES / "camoo4.xml")), encoding="utf-8")
+        simulation = Simulation(path, {"n_gap": 1.46, **values}, check=False)
+        faces = interfaces_of(simulation.file, simulation.model)
+        figure = cross_section_figure(simulation, faces, brief=True)
+        assert words in "\n".join(text.get_text() for text in figure.axes[0].texts)
+
+
+def test_a_cylinder_that_lies_is_cut_across_its_axis_too(load):
+    simulation, faces, _ = load("camoo4_cylinder_lying.xml")
+    across = cross_section(simulation.model, 0.0, normal=0)
+    assert across.area(simulation.crystal.volume) == pytest.approx(25 * np.pi, rel=2e-3)
+    panels = cross_section_figure(simulation, faces).axes
+    (title,) = (ax.get_title(loc="left") for ax in panels if ax.get_xlabel() == "y (mm)")
+    assert title.startswith("Vertical plane x = 0 mm")
+
+
+LID = """<shape type="rectangle" id="lid"><transform name="to_world"><scale value="3"/>
+  <translate z="$crystal_height_mm"/></transform><ref id="crystal_to_air"/>
+  <ref name="interior" id="crystal"/></shape></scene>"""
+
+
+def test_what_is_wrong_with_a_scene_is_red(tmp_path, mcrim):
+    """Of a scene that is not sound there was no picture."""
+    path, red = tmp_path / "wrong.xml", (255, 31, 31)
+    for text, values, drawn in (
+        (BENCH.replace("</scene>", LID), {}, "crystal_top (line 109) and lid lie on each other"),
+        (BENCH, {"n_gap": -1.0}, "no refractive index"),
+        (
+            BENCH.replace('"alpha_scat_per_cm" value="', '"alpha_scat_per_cm" value="-', 1),
+            {},
+            "negative",
+        ),
+        (BENCH.replace("</medium>", "</medum>", 1), {}, None),
+    ):
+        path.write_text(text, encoding="utf-8")
+        checked = mcrim_api.check(path, **values)
+        figure = checked.plot()
+        texts = "\n".join(text.get_text().replace("\n", " ") for text in figure.texts)
+        assert not checked.ok and bool(figure.axes) == (drawn is not None)
+        assert (drawn or "   63    </medum>") in texts
+        if drawn:
+            assert "here" in [text.get_text() for text in figure.axes[0].texts]
+        write_cross_section(figure, tmp_path / "wrong.png")
+        pixels = np.rint(255 * imread(tmp_path / "wrong.png")[:, :, :3]).astype(int)
+        assert (pixels == red).all(axis=2).sum() > (2000 if drawn else 300)
+    # the command says what is wrong, and fails, as without a picture
+    status, _, said = mcrim("check", str(path), "-o", str(tmp_path / "drawn.png"))
+    assert status == 2 and "line 63" in said and (tmp_path / "drawn.png").stat().st_size > 5000
 
 
 def test_what_mirrors_and_what_is_black_is_called_so():

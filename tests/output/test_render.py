@@ -12,8 +12,12 @@ from test_cross_section import TEXTS
 
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.output.photograph import apart, heading, render
+from mcrim_mitsuba.output.cross_section import heading
+from mcrim_mitsuba.output.photograph import apart, render
 from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.transport.photograph import surface_triangles
+from mcrim_mitsuba.transport.photograph_parts import PhotographedBench
+from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Scene, what is changed, and its parts, lowest first.
 CASES = tables_of(__file__)["cases"]
@@ -77,6 +81,32 @@ def test_gap_is_seen_and_gel_is_not_air(picture):
         x, y = round(box[0] - 10), round((box[1] + box[3]) / 2)
         red, green, blue = made.pixels[y - 1 : y + 2, x - 6 : x].reshape(-1, 3).mean(axis=0)
         assert (red > blue + 60) == (case == "gel")
+
+
+def test_the_bench_alone_has_no_labels(picture):
+    """A report's first picture was a crop of all, with a ring and "enlarged below"."""
+    made = picture("gel")
+    high, wide, _ = made.view.shape
+    (ring,) = (label.box for label in made.labels if label.text == "enlarged below")
+    left, top, right, bottom = (round(side) for side in ring)
+    place = np.s_[top - 40 : bottom - 40, left:right]  # the panel begins 40 pixels below the top
+    assert (high, wide) == (236, 356) and made.view[place].std() < 4
+    assert made.pixels[top:bottom, left:right].std() > 20
+
+
+def test_rims_of_plates_and_rough_faces_are_frosted(tmp_path):
+    """A clear rim showed the plate's edges as a ladder; a hazy cube looked polished."""
+    path = tmp_path / "hazy.xml"
+    path.write_text(add("surface_haze", read_scene(SCENES / "camoo4.xml")), encoding="utf-8")
+    for scene, hazy in ((SCENES / "camoo4.xml", False), (path, True)):
+        model = Simulation(scene, check=False).model
+        parts = PhotographedBench(model, surface_triangles(model), {"crystal": 2.0}).parts()
+        rough = {
+            part.name: [b.finish.roughness for b in part.bodies if b.finish.kind == "glass"]
+            for part in parts
+        }
+        assert sorted(rough["window"]) == [0.0] * 3 + [0.4] * 4
+        assert (min(rough["crystal"]) > 0.0) == hazy == (max(rough["crystal"]) > 0.0)
 
 
 def test_detector_is_red(picture):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from findings_by_hand import diagnosis, quick_report
+from findings_by_hand import FIRST, MENDED, calibration, diagnosis, estimate, quick_report
 from lxml import html
 from refusals import refusal
 
@@ -21,15 +21,17 @@ from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.rounding import pdg_parts
 from mcrim_mitsuba.output import photograph, report_sections
 from mcrim_mitsuba.output import report as reporting
+from mcrim_mitsuba.output.describe_campaign import others_table
 from mcrim_mitsuba.output.report import in_full, said, visible
 from mcrim_mitsuba.output.report_sections import changed
+from mcrim_mitsuba.output.sentences import headline
 
 MB = 1_000_000
 SCRIPT = "<script>window.hacked = 1</script>"
 BREAKOUT = "{{7*7}}</pre></style></title>]]>--><svg onload=window.hacked=1> javascript:x"
 BACKWARDS, LONG = "\u202egnp.exe", "A<" * 5000
 LABELS = (f'{SCRIPT} "quoted"', BACKWARDS)
-SECTIONS = "summary measured bench baseline explanations repair result next reproduce".split()
+SECTIONS = "summary explanations next measured bench baseline repair result reproduce".split()
 #: All that the page may hold: nothing that runs, loads or sends.
 ELEMENTS = set(
     "html head meta title style body header main section nav h1 h2 h3 p a br ol ul li dl dt dd "
@@ -143,6 +145,8 @@ def test_the_story_is_told_in_order_with_the_numbers_of_the_fit(made, parsed):
             "cross-section",
             "comparison",
             "ranking",
+            "next",
+            "next-bench",
             "ratio",
             "profiles",
             "error-budget",
@@ -152,6 +156,15 @@ def test_the_story_is_told_in_order_with_the_numbers_of_the_fit(made, parsed):
     } == pictures
 
 
+def test_the_verdict_has_the_numbers_of_the_fit_that_is_quoted():
+    """An effect's size and chi2 were those of a trial, beside others of its simulation."""
+    simulated = calibration({**MENDED, "surface_loss": estimate(0.0131, 0.0008)}, chi2=11.7)
+    words = headline(diagnosis("missing_effect"), simulated)
+    assert "surface loss = 0.0131 ± 0.0008" in words and "64.2 -> 11.7 (ndf 12" in words
+    (row, _) = others_table(diagnosis("ambiguous"), simulated, (FIRST,)).rows
+    assert row.cells[1].text == "7.52 ± 0.22"
+
+
 def test_files_are_inside_as_they_were_read(made, parsed):
     page, found = made
     links = {a.get("download"): a.get("href") for a in parsed.iter("a") if a.get("download")}
@@ -159,9 +172,10 @@ def test_files_are_inside_as_they_were_read(made, parsed):
         attached = base64.b64decode(links[Path(path).name].partition(",")[2])
         assert attached == (page.parent / Path(path).name).read_bytes()
         assert hashlib.sha256(attached).hexdigest() == digest
-    # listings are folded, and not printed
+    # listings are folded, and not printed; tables are folded and printed
     assert not parsed.xpath("//pre[contains(., '<scene')][not(ancestor::details)]")
-    assert {e.get("class") for e in parsed.iter("details")} == {"onscreen"}
+    assert {e.get("class") for e in parsed.iter("details")} == {"onscreen", "fold"}
+    assert not parsed.xpath("//details[@class='fold']//pre | //details[@open]")
 
 
 def test_what_was_mended_is_told_as_a_difference():
@@ -203,6 +217,9 @@ def test_the_page_is_quiet_in_a_browser_and_prints_on_few_pages(made, browser):
         browser.resize(width, 900)
         assert browser.run("return document.documentElement.scrollWidth") <= width
         browser.screenshot(f"report-{width}")
+    browser.resize(1440, 900)
+    # what is not folded is read in a few screens
+    assert browser.run("return document.documentElement.scrollHeight") <= 8000
     assert browser.complaints() == []
     assert browser.requests() == [made[0].as_uri()]
     # it prints on few pages, without listings
@@ -211,8 +228,9 @@ def test_the_page_is_quiet_in_a_browser_and_prints_on_few_pages(made, browser):
     )
     assert 3 < len(re.findall(rb"/Type\s*/Page\b", printed)) <= 10
     browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
-    seen = "return [...document.querySelectorAll('details')].filter(e => e.getClientRects().length)"
-    assert browser.run(seen) == []
+    seen = "return [...document.querySelectorAll('{}')].filter(e => e.getClientRects().length)"
+    assert browser.run(seen.format("details.onscreen")) == []
+    assert len(browser.run(seen.format(".fold table"))) > 5
 
 
 def test_only_pages_are_replaced(mcrim, campaign_here):
