@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, replace
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import JobProgress, Parts
 
 
 class CancelledError(Exception):
@@ -31,6 +32,8 @@ class PageJob:
     undo: Callable[[], None] = lambda: None
     #: Whether it is begun once more when it is asked for while it runs.
     again: bool = False
+    #: What it tells of, as `JobProgress` has it.
+    parts: Parts = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,9 +44,9 @@ class Status:
     job: PageJob | None = None
     #: What the job is at.
     stage: str = ""
-    #: Of the stage.
-    done: int = 0
-    total: int = 0
+    #: Of the whole job, 0 to 1, and how long it will take: ``40 s left``.
+    done: float = 0.0
+    left: str = ""
     #: Those behind it.
     waiting: tuple[PageJob, ...] = ()
     #: Why jobs came to nothing since the user last began one.
@@ -57,8 +60,8 @@ class Status:
         if self.job is None:
             return "ready"
         apart = "" if self.stage in ("", self.job.words) else f": {self.stage}"
-        part = f", {100 * self.done / self.total:.0f} %" if self.total > 1 else ""
-        return f"{self.job.words}{apart}{part}"
+        part = f"{100 * self.done:.0f} %" if self.done else ""
+        return ", ".join(filter(None, (f"{self.job.words}{apart}", part, self.left)))
 
 
 class Jobs:
@@ -73,7 +76,7 @@ class Jobs:
         self._waiting: deque[PageJob] = deque()
         self._there_is_work = threading.Condition()
         self._closed = self._cancelled = False
-        self._status = Status()
+        self._status, self._progress = Status(), JobProgress()
         # Ctrl-C need not wait for a long simulation
         self._thread = threading.Thread(target=self._work, name="jobs", daemon=True)
         self._thread.start()
@@ -95,19 +98,20 @@ class Jobs:
                 self._there_is_work.notify()
         self._changed()
 
-    def stop(self, key: str | None = None) -> None:
-        """Let the job of a button end at its next report, or not begin; None: the running one."""
+    def stop(self, key: str | None = None) -> bool:
+        """End the job of a button, or let it not begin; None: the running one. Was there one?"""
         dropped: list[PageJob] = []
         with self._there_is_work:
             running = self._status.job
             if running is not None and key in (None, running.key):
                 self._cancelled = True
-                self._status = replace(self._status, stage="stopping", done=0, total=0)
+                self._status = replace(self._status, stage="stopping", left="")
             else:
                 dropped = [job for job in self._waiting if job.key == key]
                 self._waiting = deque(job for job in self._waiting if job.key != key)
         for job in dropped:
             job.undo()
+        return bool(dropped) or (running is not None and key in (None, running.key))
 
     def stop_all(self) -> None:
         """Let nothing that was begun go on."""
@@ -123,7 +127,9 @@ class Jobs:
         with self._there_is_work:
             if self._cancelled:
                 raise CancelledError
-            self._status = replace(self._status, stage=stage, done=done, total=total)
+            bar = self._progress
+            bar.tell(stage, done, total)
+            self._status = replace(self._status, stage=stage, done=bar.done, left=bar.left)
 
     def close(self, patience_seconds: float) -> None:
         """Stop the running job and take no more; waits for so long at most."""
@@ -140,8 +146,8 @@ class Jobs:
                 if self._closed:
                     return
                 job = self._waiting.popleft()
-                self._cancelled = False
-                self._status = replace(self._status, job=job, stage="", done=0, total=0)
+                self._cancelled, self._progress = False, JobProgress(job.parts)
+                self._status = replace(self._status, job=job, stage="", done=0.0, left="")
             error, stopped = self._run(job)
             if error or stopped:
                 with suppress(InputError):
