@@ -96,7 +96,7 @@ class Browser:
             for message in messages
             if message["method"] == "Network.requestWillBeSent"
         )
-        inner = ("data:", "blob:", "chrome:")
+        inner = ("data:", "blob:", "chrome:", "chrome-untrusted:")
         return [address for address in addresses if not address.startswith(inner)]
 
     def screenshot(self, name: str) -> None:

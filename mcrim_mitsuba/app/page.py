@@ -119,7 +119,7 @@ def _read(session: Session) -> tuple[_Asked, Settings]:
     return asked, session.history.remember(settings, number)
 
 
-def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
+def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], object]]:
     """What buttons and switches do, by name; they get what was asked, and the settings."""
 
     def upload(asked: _Asked, _: Settings) -> None:
@@ -132,13 +132,6 @@ def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
         else:
             session.take_readings(asked["name"], content)
 
-    def effect(asked: _Asked, settings: Settings) -> None:
-        name = asked["name"]
-        if name in settings.effects:
-            session.switch_on(name)
-        else:
-            session.switch_off(name)
-
     def edit(asked: _Asked, _: Settings) -> None:
         text = str(asked.get("value", ""))
         session.edit(exchange.with_cell, asked["name"], asked["column"], text)
@@ -150,7 +143,7 @@ def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
         "fit": lambda _, settings: session.fit(settings),
         "diagnose": lambda _, settings: session.diagnose(settings),
         "add": lambda asked, settings: session.add(asked["name"].split(), settings),
-        "effect": effect,
+        "effect": lambda asked, _: session.switch(asked["name"]),
         "get": lambda asked, settings: session.offer(asked["name"], settings),
         "upload": upload,
         "stop": lambda asked, _: session.jobs.stop(asked["name"] or None),

@@ -52,11 +52,10 @@ def test_jobs_wait_and_stop(browser, campaign, scenes):
         assert not browser.text("#error") and browser.text("#chi2-words") == "being simulated"
         # what is asked for meanwhile waits; all of it stays in sight; an index is simulated at two
         # values, a bubble at seven
-        browser.find("#numbers summary").click()
         for effect in ("wrong:n_crystal", "edge_chamfer", "background"):
             app.control("effect", effect).click()
         browser.wait_for(
-            lambda: "; then simulating wrong crystal index and 2 more" in status(), "queue"
+            lambda: "; then fitting with wrong crystal index and 2 more" in status(), "queue"
         )
         fit, box = browser.find("#fit"), app.control("effect", "edge_chamfer")
         assert fit.text == "Stop" and fit.get_attribute("aria-label") == "Stop: Fit"
@@ -64,6 +63,7 @@ def test_jobs_wait_and_stop(browser, campaign, scenes):
         browser.run("window.scrollTo(0, document.documentElement.scrollHeight)")
         top = browser.run("return document.querySelector('#bar').getBoundingClientRect().top")
         assert top == 0 and browser.find("#stop").is_displayed()
+        browser.run("window.scrollTo(0, 0)")
         # one that waits is taken back by its own button
         browser.find('[data-key="effect edge_chamfer"]').click()
         browser.wait_for(lambda: not box.is_selected(), "switch")
@@ -155,12 +155,14 @@ def test_what_is_typed_is_what_is_meant(browser, campaign, shared_cache):
         app.type(scale, "80")
         browser.wait_for(lambda: app.is_idle() and app.chi2 > chi2, "chi2 at another scale")
         assert not follows.is_selected() and browser.text("#light-yield") != followed
-        assert browser.text("#light-yield-words") == "± detector"
+        assert browser.text("#light-yield-words") == "moved by hand: Fit gives its error"
         follows.click()
         browser.wait_for(lambda: app.is_idle() and app.chi2 == chi2, "chi2 at the best scale")
         assert float(scale.get_property("value")) < 80
-        assert browser.text("#light-yield-words") == "± readings, all else held ± detector"
-        assert browser.text("#light-yield").count("±") == 2
+        browser.find("#fit").click()
+        browser.wait_for(lambda: "±" in browser.text("#light-yield"), "the fit's error")
+        assert browser.text("#light-yield-words") == "whole error of the fit"
+        assert browser.text("#light-yield").endswith(" ph/keV")
         assert browser.complaints() == []
 
 
@@ -258,8 +260,10 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
         browser.screenshot(f"{wide} 2 diagnosing")
         browser.wait_for(lambda: browser.all("#verdict"), "verdict", LONGEST_SIMULATION_S)
         app.settled()
-        averaged = browser.text("#averaged")
-        assert f"Light yield: {averaged} ph/keV" in browser.text("#averaged-text")
+        averaged = browser.find("#averaged").get_property("textContent")
+        app.tab_to("#weighed summary")
+        app.press(KEYS["enter"])
+        assert f"Light yield: {averaged}" in browser.text("#averaged-text")
         ranked = browser.text("#diagnosis .ranking")
         assert "something that is in no catalogue" in ranked.lower()
         assert browser.run(
@@ -350,7 +354,7 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
         # what is known of a parameter, and what it is
         app.tab_to(".control[data-name=alpha_scat_per_cm] .help")
         app.press(KEYS["enter"])
-        assert "scattering coefficient" in browser.text("[id='meaning alpha_scat_per_cm']")
+        assert "scattering coefficient" in browser.text("#meaning-alpha_scat_per_cm")
         app.tab_to(".control[data-name=alpha_scat_per_cm] select")
         freedom = browser.find("#chi2-words").get_property("textContent")
         app.press("held")
