@@ -8,7 +8,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import JobProgress, Parts
@@ -44,9 +44,8 @@ class Status:
     job: PageJob | None = None
     #: What the job is at.
     stage: str = ""
-    #: Of the whole job, 0 to 1, and how long it will take: ``40 s left``.
-    done: float = 0.0
-    left: str = ""
+    #: How far all of it is.
+    bar: JobProgress = field(default_factory=JobProgress)
     #: Those behind it.
     waiting: tuple[PageJob, ...] = ()
     #: Why jobs came to nothing since the user last began one.
@@ -60,8 +59,8 @@ class Status:
         if self.job is None:
             return "ready"
         apart = "" if self.stage in ("", self.job.words) else f": {self.stage}"
-        part = f"{100 * self.done:.0f} %" if self.done else ""
-        return ", ".join(filter(None, (f"{self.job.words}{apart}", part, self.left)))
+        part = f"{100 * self.bar.done:.0f} %" if self.bar.done else ""
+        return ", ".join(filter(None, (f"{self.job.words}{apart}", part, self.bar.left)))
 
 
 class Jobs:
@@ -76,7 +75,7 @@ class Jobs:
         self._waiting: deque[PageJob] = deque()
         self._there_is_work = threading.Condition()
         self._closed = self._cancelled = False
-        self._status, self._progress = Status(), JobProgress()
+        self._status = Status()
         # Ctrl-C need not wait for a long simulation
         self._thread = threading.Thread(target=self._work, name="jobs", daemon=True)
         self._thread.start()
@@ -105,7 +104,7 @@ class Jobs:
             running = self._status.job
             if running is not None and key in (None, running.key):
                 self._cancelled = True
-                self._status = replace(self._status, stage="stopping", left="")
+                self._status = replace(self._status, stage="stopping")
             else:
                 dropped = [job for job in self._waiting if job.key == key]
                 self._waiting = deque(job for job in self._waiting if job.key != key)
@@ -127,9 +126,8 @@ class Jobs:
         with self._there_is_work:
             if self._cancelled:
                 raise CancelledError
-            bar = self._progress
-            bar.tell(stage, done, total)
-            self._status = replace(self._status, stage=stage, done=bar.done, left=bar.left)
+            self._status.bar.tell(stage, done, total)
+            self._status = replace(self._status, stage=stage)
 
     def close(self, patience_seconds: float) -> None:
         """Stop the running job and take no more; waits for so long at most."""
@@ -146,8 +144,9 @@ class Jobs:
                 if self._closed:
                     return
                 job = self._waiting.popleft()
-                self._cancelled, self._progress = False, JobProgress(job.parts)
-                self._status = replace(self._status, job=job, stage="", done=0.0, left="")
+                self._cancelled = False
+                bar = JobProgress(job.parts)
+                self._status = replace(self._status, job=job, stage="", bar=bar)
             error, stopped = self._run(job)
             if error or stopped:
                 with suppress(InputError):

@@ -18,7 +18,6 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.files import attributes, plain
 from mcrim_mitsuba.core.numbers import titled
 from mcrim_mitsuba.core.rounding import (
-    capital,
     counted,
     number,
     p_equals,
@@ -114,7 +113,7 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
     """What the browser asks again and again: only numbers, where it shows the state of this one."""
     status, now, history = session.jobs.status, session.state, session.history
     document = attributes(history, "number settings_number file_number file_kind bench_number")
-    job = attributes(status, "words done said=failures stopped")
+    job = attributes(status, "words done=bar.done said=failures stopped")
     waiting = [attributes(job, "key words") for job in status.waiting]
     document["job"] = {"key": status.job and status.job.key, **job, "waiting": waiting}
     if history.number == shown_number:
@@ -231,7 +230,7 @@ def _gravest(fit: Calibration) -> str:
     misfit = [n.partition("; ")[2] for n in of_fit if n.startswith("the model does not describe")]
     if misfit:
         return f"Do not quote these numbers: {(*lost, *misfit)[0]}"
-    return capital(next(iter((*of_fit, *fit.notes)), ""))
+    return next((f"Note: {note}" for note in (*of_fit, *fit.notes)), "")
 
 
 def _readings_cells(readings: Sequence[Reading], shown: Shown | None) -> list[list[str]]:

@@ -460,7 +460,7 @@ class Session:
                 self.history.file_kind = what
                 self.history.change(file=file)
 
-        parts = (*PARTS, ("report", 20)) if what == "report" else ()
+        parts = (*PARTS, ("report", 40)) if what == "report" else ()
         self.jobs.start(PageJob(f"get-{what}", f"writing the {what}", work, parts=parts))
 
     def _file(self, what: str, settings: Settings) -> tuple[str, bytes]:

@@ -269,7 +269,7 @@ def report(campaign, path, json_file, work) -> None:
 
     read = showing.read_campaign(campaign, json_file, written={"--output": (path, SUFFIXES)})
     refuse_output(path, read.files)
-    with work.begin(parts=(*PARTS, ("report", 20))) as run:
+    with work.begin(parts=(*PARTS, ("report", 40))) as run:
         page = mcrim.report(read, path, run=run)
     screen = showing.answer(page, json_file)
     screen.line(f"{page.path} was written: open it in a browser", style="bold")

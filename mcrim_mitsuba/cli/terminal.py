@@ -210,7 +210,7 @@ def photon_progress(
         progress.TextColumn("{task.percentage:>3.0f} %"),
         _Words("{task.fields[note]}"),
         progress.TimeElapsedColumn(),
-        progress.TextColumn("{task.fields[left]}"),
+        progress.TextColumn("{task.fields[job].left}"),
         console=Console(stderr=True),
         transient=True,
         disable=not sys.stderr.isatty(),
@@ -226,8 +226,8 @@ def photon_progress(
             shown = shown if total >= MOST_PIECES else note
             job.tell(what, done, total)
             if not tasks:
-                tasks.append(bar.add_task(what, total=1.0, note="", left=""))
-            bar.update(tasks[0], description=what, completed=job.done, note=shown, left=job.left)
+                tasks.append(bar.add_task(what, total=1.0, note="", job=job))
+            bar.update(tasks[0], description=what, completed=job.done, note=shown)
             if written is not None:
                 written(what, done, total, note)
 

@@ -81,7 +81,8 @@ class JobProgress:
         # what goes on now, how far that is, and its place in the whole
         self._open: dict[str, tuple[int, int]] = {}
         self._begin, self._end, self._since_s = 0.0, 0.0, 0.0
-        self._whole_s: float | None = None
+        # when that was told, and how long the whole takes at its pace
+        self._told_s, self._whole_s = 0.0, 0.0
 
     def tell(self, what: str, done: int, total: int) -> None:
         """Take over how far a part is, as `Progress` says."""
@@ -97,22 +98,22 @@ class JobProgress:
                 self._coming = self._coming[place + 1 :]
             elif not self._coming:
                 self._begin = self.done = max(self.done, self._end)
-                self._end = self.done + self._MOST * (1.0 - self.done)
+                self._end = self.done + self._MOST * (0.99 - self.done)
         self._open[what] = done, total
         done, total = (sum(counts) for counts in zip(*self._open.values(), strict=True))
         if total > len(self._open):
             now = self._begin + (self._end - self._begin) * done / total
-            seconds = time.monotonic() - self._since_s
+            self.done, self._told_s = max(self.done, now), time.monotonic()
+            seconds = self._told_s - self._since_s
             if now > self._begin and done > self._FIRST * total and seconds > self._FIRST_S:
                 self._whole_s = seconds / (now - self._begin)
-            self.done = max(self.done, now)
 
     @property
     def left(self) -> str:
-        """``40 s left``, at the pace of what went on last; empty before that is known."""
-        if self._whole_s is None:
+        """``40 s left``, at the pace of what went on last; empty where nobody knows."""
+        seconds = self._whole_s * (1.0 - self.done) - (time.monotonic() - self._told_s)
+        if seconds < 1:
             return ""
-        seconds = self._whole_s * (1.0 - self.done)
         return f"{seconds:.0f} s left" if seconds < 100 else f"{seconds / 60:.0f} min left"
 
 

@@ -61,13 +61,7 @@ from mcrim_mitsuba.inference.weighing import (
 from mcrim_mitsuba.runs.executors import more_units_follow
 
 #: What is told of a diagnosis (`core.run.JobProgress`): its parts, and their usual times, s.
-PARTS = (
-    ("simulation", 15),
-    ("simulation", 35),
-    ("simulation", 36),
-    ("trying", 7),
-    ("weighing", 14),
-)
+PARTS = (("sim", 15), ("sim", 35), ("sim", 36), ("trying", 7), ("weighing", 14), ("proposed", 8))
 
 
 # ---- the steps of a repair ----

@@ -303,7 +303,7 @@ function update(told) {
   numbers = told;
   if (told.settings) {
     if (told.settings_number !== before.settings_number) {
-      changes.why = doing || "Another page";
+      changes.why = before.number < 0 || !fits ? "" : doing || "Another page";
       doing = "";
       takeOver(told);
     }
