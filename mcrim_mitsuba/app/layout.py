@@ -125,7 +125,7 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
     of_controls = {"values": values, "known": controls.known(settings)}
     panels = {"diagnosis": _diagnosis_panel(session), "fitted": _fits_panel(session)}
     tried = now.diagnosis.candidates if now.diagnosis else ()
-    gaining = [candidate for candidate in tried if candidate.delta_chi2 > 0.0]
+    gaining = [candidate for candidate in tried if candidate.delta_chi2 > 1.0]
     document |= {
         "settings": settings.to_json() | of_controls,
         "readings": [

@@ -305,6 +305,7 @@ function update(told) {
     if (told.settings_number !== before.settings_number) {
       changes.why = before.number < 0 || !fits ? "" : doing || "Another page";
       doing = "";
+      window.clearTimeout(changes.timer); // predictions follow
       takeOver(told);
     }
     if (told.steps.length && !fits) {
