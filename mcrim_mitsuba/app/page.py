@@ -32,7 +32,7 @@ from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 
 _Asked = Mapping[str, Any]
 #: What a request may leave out; the types are those of what it says.
-_LEFT_OUT = {"what": "", "name": "", "column": "", "content": "", "known": -1}
+_LEFT_OUT = {"what": "", "name": "", "column": "", "content": "", "moved": False, "known": -1}
 _FILES = ("scene", "campaign", "report", "session")
 #: What is done with a reading or a fit, whose number is the name.
 _NUMBERED = ("edit", "copy", "drop", "show", "compare", "remove")
@@ -116,7 +116,9 @@ def _read(session: Session) -> tuple[_Asked, Settings]:
         is_ours = False
     if not is_ours:
         flask.abort(400)
-    return asked, session.history.remember(settings, number)
+    # another page may ask at its own settings only because something has ended
+    by_hand = asked["moved"] or bool(asked["what"])
+    return asked, session.history.remember(settings, number, by_hand=by_hand)
 
 
 def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], object]]:

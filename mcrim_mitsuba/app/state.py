@@ -379,16 +379,16 @@ class History:
             self.settings_number += 1
             self.change(settings=settings, **changes)
 
-    def remember(self, settings: Settings, number: int) -> Settings:
+    def remember(self, settings: Settings, number: int, *, by_hand: bool = True) -> Settings:
         """Keep what a page's controls say, for the next page that opens; returns what holds.
 
         `number` is the `settings_number` that the page knows: if it is an older one, what it says
-        is out of date. How it was before a control was moved is remembered for `bring_back`.
+        is out of date. How it was before a control was moved `by_hand` is kept for `bring_back`.
         """
         with self.lock:
             if number == self.settings_number:
                 moved, now = settings.moved_from(self.state.settings), time.monotonic()
-                if moved:
+                if moved and by_hand:
                     if moved != self._moving or now - self._moved_s > _PAUSE_S:
                         self.keep()
                     self._moving, self._moved_s = moved, now

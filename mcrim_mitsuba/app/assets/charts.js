@@ -4,13 +4,14 @@ const SVG = "http://www.w3.org/2000/svg";
 const TOP = 12;
 const LEFT = 52;
 const RIGHT = 12;
-// heights of the panels of signals and pulls, and of what is between them
-const SIGNALS = 250;
-const PULLS = 150;
-const BETWEEN = 26;
-// in a chart as narrow as that it stands above its sliders, with shorter panels and labels
-const NARROW = 480;
+// heights of the panels of signals and pulls, and characters of a label; a low window's chart stays
+// beside its sliders, a narrow one above them
+const TALL = { signals: 250, pulls: 150, label: Infinity };
+const LOW = { signals: 150, pulls: 100, label: Infinity };
 const SMALL = { signals: 104, pulls: 78, label: 11 };
+const [NARROW_PX, LOW_PX] = [480, 800];
+// between the panels
+const BETWEEN = 26;
 // of a character of a slanting label, and the least width that one needs
 const LABEL_PX = 5.2;
 const LABEL_STEP = 15;
@@ -112,8 +113,8 @@ function frame(place, chart, extents) {
   const count = chart.signal.length;
   const end = chart.percent === null ? RIGHT : LEFT;
   const right = Math.max(place.clientWidth - LEFT - end, READING_PX * count);
-  const { signals, pulls, label: most } = place.clientWidth < NARROW
-    ? SMALL : { signals: SIGNALS, pulls: PULLS, label: Infinity };
+  const size = window.innerHeight < LOW_PX ? LOW : TALL;
+  const { signals, pulls, label: most } = place.clientWidth < NARROW_PX ? SMALL : size;
   const labels = chart.short.map((label) =>
     label.length > most ? `${label.slice(0, most - 1)}…` : label);
   const longest = Math.max(...labels.map((label) => label.length));
@@ -146,8 +147,8 @@ function frame(place, chart, extents) {
   grid(svg, ticks(-pull, pull), made.pull, 0, right, axis);
   const zero = made.pull(0);
   element("line", { class: "zero", x1: 0, x2: right, y1: zero, y2: zero }, svg);
-  const isLong = chart.unit && 7 * chart.unit.length + 60 < signals + BETWEEN;
-  title(axis, isLong ? `signal (${chart.unit})` : "signal", 14, TOP + signals / 2);
+  const hasRoom = chart.unit && 7 * chart.unit.length + 60 < signals + BETWEEN;
+  title(axis, hasRoom ? `signal (${chart.unit})` : "signal", 14, TOP + signals / 2);
   title(axis, "pull (σ)", 14, pullsTop + pulls / 2);
   if (chart.percent !== null) {
     for (const value of ticks(bottom / chart.percent, top / chart.percent)) {

@@ -144,6 +144,8 @@ function connect(is, words = "The connection to mcrim is lost") {
 // Predictions: one question at a time, and the newest settings after it.
 let asking = false;
 let again = false;
+// whether something was moved here since the last question
+let stirred = false;
 function predict() {
   unanswered = true;
   shade();
@@ -153,7 +155,9 @@ function predict() {
   }
   asking = true;
   again = false;
-  ask("predictions", sent()).then(function (told) {
+  const body = { ...sent(), moved: stirred };
+  stirred = false;
+  ask("predictions", body).then(function (told) {
     asking = false;
     if (again) {
       predict();
@@ -490,6 +494,7 @@ function mend() {
 
 function set(control, value) {
   settings.values[control.name] = value;
+  stirred = true;
   moved.set(control.name, value);
   changes.why = `${titleOf(control.name)} ${shownNumber(value)}`;
   mend();
@@ -544,6 +549,7 @@ function know(control) {
     control.refuse(field, lacks ? `the prior needs ${what}` : "");
   }
   settings.known[control.name] = known;
+  stirred = true;
   showKnown(control, known, false);
   if (control.name === "scale" && known.how === "held") {
     follows.checked = settings.fit_scale = false;
@@ -586,6 +592,7 @@ document.addEventListener("change", function (event) {
     know(controls.get(control.dataset.name));
   } else if (field === follows) {
     settings.fit_scale = follows.checked;
+    stirred = true;
     predict();
   } else if (field.closest(".switch")) {
     const name = field.closest(".effect").dataset.effect;
