@@ -112,6 +112,10 @@ class App:
         element = self.browser.run(
             "return document.getElementById(arguments[0])", f'{{"kind":"{kind}","name":"{name}"}}'
         )
+        if kind == "effect":  # of a family that may be closed
+            self.browser.run("arguments[0].closest('details').open = true", element)
+            # a driver scrolls it below what sticks to the window's edge
+            self.browser.run("arguments[0].scrollIntoView({block: 'center'})", element)
         return element.find_element("css selector", "input") if kind == "effect" else element
 
     def type(self, field, text: str) -> None:

@@ -58,6 +58,12 @@ class Browser:
         """The first element of a CSS selector, waited for."""
         return self.wait_for(lambda: self.all(selector), selector, seconds)[0]
 
+    def click(self, selector: str) -> None:
+        """Click an element; a driver scrolls it below what sticks to the window's upper edge."""
+        element = self.find(selector)
+        self.run("arguments[0].scrollIntoView({block: 'nearest'})", element)
+        element.click()
+
     def all(self, selector: str) -> list:
         return self.driver.find_elements("css selector", selector)
 

@@ -8,9 +8,10 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import JobProgress, Parts
 
 
 class CancelledError(Exception):
@@ -31,6 +32,8 @@ class PageJob:
     undo: Callable[[], None] = lambda: None
     #: Whether it is begun once more when it is asked for while it runs.
     again: bool = False
+    #: What it tells of, as `JobProgress` has it.
+    parts: Parts = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,9 +44,8 @@ class Status:
     job: PageJob | None = None
     #: What the job is at.
     stage: str = ""
-    #: Of the stage.
-    done: int = 0
-    total: int = 0
+    #: How far all of it is.
+    bar: JobProgress = field(default_factory=JobProgress)
     #: Those behind it.
     waiting: tuple[PageJob, ...] = ()
     #: Why jobs came to nothing since the user last began one.
@@ -57,8 +59,8 @@ class Status:
         if self.job is None:
             return "ready"
         apart = "" if self.stage in ("", self.job.words) else f": {self.stage}"
-        part = f", {100 * self.done / self.total:.0f} %" if self.total > 1 else ""
-        return f"{self.job.words}{apart}{part}"
+        part = f"{100 * self.bar.done:.0f} %" if self.bar.done else ""
+        return ", ".join(filter(None, (f"{self.job.words}{apart}", part, self.bar.left)))
 
 
 class Jobs:
@@ -95,19 +97,20 @@ class Jobs:
                 self._there_is_work.notify()
         self._changed()
 
-    def stop(self, key: str | None = None) -> None:
-        """Let the job of a button end at its next report, or not begin; None: the running one."""
+    def stop(self, key: str | None = None) -> bool:
+        """End the job of a button, or let it not begin; None: the running one. Was there one?"""
         dropped: list[PageJob] = []
         with self._there_is_work:
             running = self._status.job
             if running is not None and key in (None, running.key):
                 self._cancelled = True
-                self._status = replace(self._status, stage="stopping", done=0, total=0)
+                self._status = replace(self._status, stage="stopping")
             else:
                 dropped = [job for job in self._waiting if job.key == key]
                 self._waiting = deque(job for job in self._waiting if job.key != key)
         for job in dropped:
             job.undo()
+        return bool(dropped) or (running is not None and key in (None, running.key))
 
     def stop_all(self) -> None:
         """Let nothing that was begun go on."""
@@ -123,7 +126,8 @@ class Jobs:
         with self._there_is_work:
             if self._cancelled:
                 raise CancelledError
-            self._status = replace(self._status, stage=stage, done=done, total=total)
+            self._status.bar.tell(stage, done, total)
+            self._status = replace(self._status, stage=stage)
 
     def close(self, patience_seconds: float) -> None:
         """Stop the running job and take no more; waits for so long at most."""
@@ -141,7 +145,8 @@ class Jobs:
                     return
                 job = self._waiting.popleft()
                 self._cancelled = False
-                self._status = replace(self._status, job=job, stage="", done=0, total=0)
+                bar = JobProgress(job.parts)
+                self._status = replace(self._status, job=job, stage="", bar=bar)
             error, stopped = self._run(job)
             if error or stopped:
                 with suppress(InputError):

@@ -23,13 +23,14 @@ from mcrim_mitsuba.core.rounding import (
     p_equals,
     p_text,
     pdg,
-    pdg_parts,
     probability,
 )
 from mcrim_mitsuba.efficiency.response_maker import configurations
 from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.estimates import FittedRow
+from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P
 from mcrim_mitsuba.output import describe_campaign, sentences
 from mcrim_mitsuba.output.description import Column, Table, table
 from mcrim_mitsuba.output.figure_style import shortened, units_of_signals
@@ -59,7 +60,7 @@ _TEMPLATES = environment(jinja2.FileSystemLoader(Path(__file__).parent / "templa
 _TEMPLATES.filters |= {"chi2": _chi2_text, "probability": probability}
 _TEMPLATES.filters |= {"p": p_text, "p_equals": p_equals}
 _TEMPLATES.globals |= {"id_of": _compound_id, "steps": _SLIDER_STEPS}
-_TEMPLATES.globals |= {"sentences": sentences, "describe": describe_campaign}
+_TEMPLATES.globals |= {"sentences": sentences, "describe": describe_campaign, "pdg": pdg}
 
 
 def page(session: Session) -> str:
@@ -78,9 +79,9 @@ def page(session: Session) -> str:
         ("signal", "measured"),
         ("sigma", "± error"),
         *columns,
-        *(("", title) for title in ("model", "pull", "η", "")),
+        *(("", title) for title in ("model", "pull", "η", "copy, remove")),
     ]
-    merits = {"chi2": "χ²", "p-value": "p", "light-yield": _light_title(session)}
+    merits = {"chi2": "χ²", "p-value": "p", "light-yield": _light_title(session).partition(" (")[0]}
     return _TEMPLATES.get_template("page.html").render(
         session=session,
         campaign=campaign,
@@ -111,8 +112,8 @@ def _light_title(session: Session) -> str:
 def state(session: Session, shown_number: int) -> dict[str, Any]:
     """What the browser asks again and again: only numbers, where it shows the state of this one."""
     status, now, history = session.jobs.status, session.state, session.history
-    document = attributes(history, "number settings_number file_number bench_number")
-    job = attributes(status, "words done total said=failures stopped")
+    document = attributes(history, "number settings_number file_number file_kind bench_number")
+    job = attributes(status, "words done=bar.done said=failures stopped")
     waiting = [attributes(job, "key words") for job in status.waiting]
     document["job"] = {"key": status.job and status.job.key, **job, "waiting": waiting}
     if history.number == shown_number:
@@ -122,7 +123,9 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
     # what was undone may know nothing of a number that the readings have now
     values = {**controls.starts, **settings.values}
     of_controls = {"values": values, "known": controls.known(settings)}
-    panels = {"diagnosis": _diagnosis_panel(now.diagnosis), "fitted": _fits_panel(session)}
+    panels = {"diagnosis": _diagnosis_panel(session), "fitted": _fits_panel(session)}
+    tried = now.diagnosis.candidates if now.diagnosis else ()
+    gaining = [candidate for candidate in tried if candidate.delta_chi2 > 1.0]
     document |= {
         "settings": settings.to_json() | of_controls,
         "readings": [
@@ -133,6 +136,7 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
         "steps": [_falling(step) for step in now.steps],
         "can_undo": history.can_undo,
         "parts": panels,
+        "gains": {c.effect: (c.delta_chi2, f"χ² −{sentences.gain_text(c)}") for c in gaining},
     }
     return plain(document)
 
@@ -157,7 +161,7 @@ def step_name(step: FitStep) -> str:
 def predictions(session: Session, settings: Settings) -> dict[str, Any]:
     """What the browser writes and draws at some settings."""
     readings = session.state.campaign.measurements.readings
-    document: dict[str, Any] = {"settings_number": session.history.settings_number}
+    document = attributes(session.history, "settings_number can_undo")
     try:
         shown = session.model.show(settings)
     except ValueError as error:  # effects that exclude each other
@@ -168,7 +172,7 @@ def predictions(session: Session, settings: Settings) -> dict[str, Any]:
         titles = [session.model.live.controls.effects[name][0].title for name in shown.pending]
         pending = f"These numbers are without {sentences.together(titles)}: not simulated yet."
     document |= {
-        "texts": {**_merit_texts(shown, session), "pending": pending},
+        "texts": {**_texts(session, settings, shown), "pending": pending},
         "cells": _readings_cells(readings, shown),
         "scale": shown and shown.scale,
         "pending": bool(pending),
@@ -177,36 +181,56 @@ def predictions(session: Session, settings: Settings) -> dict[str, Any]:
     return plain(document)
 
 
-def _merit_texts(shown: Shown | None, session: Session) -> dict[str, str]:
-    """What stands in the places of the figures of merit, by id."""
+def _texts(session: Session, settings: Settings, shown: Shown | None) -> dict[str, str]:
+    """What the model says in words and in figures of merit, by the ids of their places."""
     texts = dict.fromkeys(("chi2", "p-value", "light-yield"), "…")
     texts |= {"averaged": "", **{f"{place}-words": "" for place in (*texts, "averaged")}}
     if shown is None:
         idle = session.jobs.status.job is None
-        texts["chi2-words"] = "nothing is simulated yet: press Fit" if idle else "being simulated"
-        return texts
+        words = "nothing is simulated yet: press Fit" if idle else "being simulated"
+        return texts | {"chi2-words": words, "answer": words, "warning": ""}
+    step, unit = session.model.fit_at(settings), "" if shown.light_yield is None else " ph/keV"
+    light = number(shown.scale if shown.light_yield is None else shown.light_yield, 4)
+    light = light if step is None else sentences.light_text(step.calibration)
     texts |= {
         "chi2": _chi2_text(shown.chi2),
         "chi2-words": counted(shown.ndf, "degree") + " of freedom",
         "p-value": p_text(shown.p_value),
         "p-value-words": "chance of a larger χ²",
-        "light-yield": number(shown.scale, 4),
-        "light-yield-words": "signal at η = 1",
+        "light-yield": f"{light}{unit}",
+        "light-yield-words": "whole error of the fit" if step else "moved by hand: press Fit",
+        "answer": _answer(session, settings, shown, step),
+        "warning": "" if step is None else _gravest(step.calibration),
     }
     if shown.p_value is None:
         texts["p-value-words"] = "nothing to judge by: the readings determine the parameters"
-    if shown.light_yield is not None:
-        value, statistical, systematic = shown.light_yield
-        parts = [part for part in (statistical, systematic) if part]
-        texts["light-yield"] = pdg_parts(value, *parts) if parts else number(value, 4)
-        words = ["readings, all else held" if statistical else "", "detector" if systematic else ""]
-        texts["light-yield-words"] = " ".join(f"± {origin}" for origin in words if origin)
     diagnosis = session.state.diagnosis
     averaged = diagnosis and diagnosis.light_yield_averaged
     if averaged:
-        texts["averaged"] = pdg(averaged.value, averaged.sigma)
-        texts["averaged-words"] = "ph/keV ± whole error, by Diagnose"
+        texts["averaged"] = f"{pdg(averaged.value, averaged.sigma)} ph/keV"
+        texts["averaged-words"] = "whole error, by Diagnose"
     return texts
+
+
+def _answer(session: Session, settings: Settings, shown: Shown, step: FitStep | None) -> str:
+    """Whether the bench explains the readings, in a sentence."""
+    titles = [session.model.live.controls.effects[name][0].title for name in settings.effects]
+    bench = f"The bench with {sentences.together(titles)}" if titles else "The bench"
+    bench += "" if step else ", moved by hand,"
+    if shown.p_value is None:
+        return f"{bench} cannot be judged: these readings only just determine its parameters."
+    verb = "does not explain" if shown.p_value < ACCEPTABLE_P else "explains"
+    return f"{bench} {verb} these readings: {p_equals(shown.p_value)}."
+
+
+def _gravest(fit: Calibration) -> str:
+    """What a reader must know of a fit before anything else; empty where there is nothing."""
+    of_fit = [note for note in fit.notes if note not in fit.model.campaign.notes]
+    lost = [note for note in of_fit if "decimal point" in note]
+    misfit = [n.partition("; ")[2] for n in of_fit if n.startswith("the model does not describe")]
+    if misfit:
+        return f"Do not quote these numbers: {(*lost, *misfit)[0]}"
+    return next((f"Note: {note}" for note in (*of_fit, *fit.notes)), "")
 
 
 def _readings_cells(readings: Sequence[Reading], shown: Shown | None) -> list[list[str]]:
@@ -258,10 +282,17 @@ def reading(session: Session, place: int) -> str:
 # Panels.
 
 
-def _diagnosis_panel(diagnosis: Diagnosis | None) -> str:
-    """The verdict and the candidates, each with a button that adds it."""
-    ranked = diagnosis and _ranked(diagnosis)
-    return _TEMPLATES.get_template("diagnosis.html").render(diagnosis=diagnosis, ranked=ranked)
+def _diagnosis_panel(session: Session) -> str:
+    """A card of what leads, and the candidates, each with a button that adds it."""
+    diagnosis, shown = session.state.diagnosis, None
+    leading = sentences.leading_candidates(diagnosis) if diagnosis else []
+    if leading:
+        sizes = {name: size.value for name, size in leading[0].parameters.items()}
+        settings = Settings(leading[0].effects, {**session.state.settings.values, **sizes})
+        shown = session.model.live.show(session.state.campaign, settings)
+    texts = {"diagnosis": diagnosis, "ranked": diagnosis and _ranked(diagnosis)}
+    template = _TEMPLATES.get_template("diagnosis.html")
+    return template.render(**texts, leading=leading, shown=shown)
 
 
 def _ranked(diagnosis: Diagnosis) -> list[tuple[str, Candidate | None, float | None]]:

@@ -31,7 +31,7 @@ from mcrim_mitsuba.efficiency.response_maker import configurations
 from mcrim_mitsuba.efficiency.responses import Anchor
 from mcrim_mitsuba.inference.drivers import newton
 from mcrim_mitsuba.inference.estimates import fitted_rows
-from mcrim_mitsuba.inference.model import UNKNOWN_SCALE, Model, ResponseModel
+from mcrim_mitsuba.inference.model import UNKNOWN_SCALE, ResponseModel
 from mcrim_mitsuba.inference.simulations import CampaignModels, CampaignSimulations
 from mcrim_mitsuba.inference.statistic import Statistic, Weights, p_value
 from mcrim_mitsuba.output.sentences import parameter_words
@@ -58,8 +58,8 @@ class LiveModel:
         self.controls = _controls(campaign, self._simulations)
         #: Rises whenever the model says something else than before.
         self.version = 0
-        # joint simulations where fits ended, by the effects switched on
-        self._anchors: dict[tuple[str, ...], Anchor] = {}
+        #: What tells its anchors from those of other readings.
+        self.mark = object()
         self._models: dict[Any, tuple[Campaign, ResponseModel]] = {}
 
     def fits(self, campaign: Campaign) -> bool:
@@ -93,16 +93,11 @@ class LiveModel:
         """The simulations with other knowledge or readings: what there is serves them too."""
         return self._simulations.of(campaign)
 
-    def keep_anchor(self, effects: tuple[str, ...], model: Model) -> None:
-        """Models with these effects are corrected as this one from now on."""
-        if isinstance(model, ResponseModel) and model.anchor is not None:
-            self._anchors[tuple(sorted(effects))] = model.anchor
-            self.version += 1
-
-    def settle_at(self, campaign: Campaign, settings: Settings) -> dict[str, float]:
+    def settle_at(self, campaign: Campaign, settings: Settings) -> tuple[dict[str, float], Any]:
         """Simulate all that is switched on together, where the controls are.
 
-        So that the page shows what a simulation of the downloaded scene gives. Returns the values.
+        So that the page can show what a simulation of the downloaded scene gives. Returns the
+        values, and the model that is corrected so, where that makes a difference.
         """
         names = tuple(sorted(settings.effects))
         switched_on = [campaign.catalogue[n] for n in (*campaign.effects, *names)]
@@ -112,31 +107,32 @@ class LiveModel:
         if not self._simulations.maker.is_exact(switched_on):
             free = self._model(campaign, names, self.controls.known(settings)).free
             here = {p.name: values.get(p.name, p.start) for p in free if p.name != SCALE}
-            with_effects = campaign.with_effects(names)
-            self.keep_anchor(names, self._simulations.anchored_model(with_effects, here))
-        return values
+            return values, self._simulations.anchored_model(campaign.with_effects(names), here)
+        return values, None
 
     # ---- what the model says -----------------------------------------------------------------
 
     @one_thread()
-    def show(self, campaign: Campaign, settings: Settings) -> Shown | None:
+    def show(
+        self, campaign: Campaign, settings: Settings, anchor: Anchor | None = None
+    ) -> Shown | None:
         """Predictions at some settings; None before the campaign's readings were simulated.
 
-        Takes about a millisecond.
+        Takes about a millisecond. The `anchor` corrects for effects that act together.
         """
         ready = self.ready
         if ready is None or not self.fits(campaign):
             return None
         effects = tuple(name for name in settings.effects if name in ready)
         knowledge = self.controls.known(settings)
-        statistic = Statistic(self._model(campaign, effects, knowledge))
+        statistic = Statistic(self._model(campaign, effects, knowledge, anchor))
         # where the controls are, within their ranges but for the scale
-        theta, sigma = np.empty(len(statistic.free)), 0.0
+        theta = np.empty(len(statistic.free))
         for place, p in enumerate(statistic.free):
             value = settings.values.get(p.name, p.start)
             theta[place] = value if p.name == SCALE else min(max(value, p.minimum), p.maximum)
         if settings.fit_scale:
-            theta, sigma = _fit_scale(statistic, theta)
+            theta = _fit_scale(statistic, theta)
         prediction = statistic.model.predict(theta, check=True, covariance=True)
         assert prediction.eta_sigma is not None  # checked
         assert prediction.interpolation_error is not None
@@ -145,6 +141,7 @@ class LiveModel:
         chi2 = statistic.chi2(theta, weights)
         pulled = weights.weigh(statistic.residuals(prediction))
         prediction = prediction.where_off(weights.errors.tolerances, pulled)
+        entry = campaign.light_yield if SCALE in campaign.free else None
         ndf = statistic.ndf + sum(
             n in knowledge and knowledge[n].how == HELD for n in statistic.names
         )
@@ -154,25 +151,29 @@ class LiveModel:
             ndf=ndf,
             p_value=p_value(chi2, ndf),
             scale=prediction.scale,
-            light_yield=_light_yield(campaign, prediction.scale, sigma),
+            light_yield=prediction.scale * entry.per_scale if entry else None,
             pending=tuple(name for name in settings.effects if name not in effects),
         )
 
     def _model(
-        self, campaign: Campaign, effects: tuple[str, ...], knowledge: Mapping[str, Known]
+        self,
+        campaign: Campaign,
+        effects: tuple[str, ...],
+        knowledge: Mapping[str, Known],
+        anchor: Anchor | None = None,
     ) -> ResponseModel:
         """What is held is free in it: it stands at its value, and moves when that is moved."""
         names = tuple(sorted(effects))
         priors = {n: k.gaussian for n, k in knowledge.items() if k.gaussian is not None}
         # while nothing new was simulated a model stays what it is
-        key = (names, tuple(priors.items()), id(campaign), self.version)
+        key = (names, tuple(priors.items()), id(campaign), id(anchor), self.version)
         if key not in self._models:
             assert self._simulated is not None  # only then is anything shown
             if len(self._models) >= _MOST_MODELS:
                 self._models = {}
             movable = _movable(campaign.with_effects(names), knowledge)
-            model = self._simulated.model_of(movable, self._anchors.get(names))
-            # with what its key is the identity of
+            model = self._simulated.model_of(movable, anchor)
+            # with what its key is the identity of; the model has its anchor
             self._models[key] = (campaign, model)
         return self._models[key][1]
 
@@ -235,26 +236,11 @@ def _shape(campaign: Campaign) -> list[tuple[str, dict[str, Value]]]:
     return [(r.kind, r.parameters) for r in campaign.measurements.readings]
 
 
-def _light_yield(
-    campaign: Campaign, scale: float, sigma: float
-) -> tuple[float, float, float] | None:
-    """Photons per keV with their errors, as `Shown` has them; `sigma` is the scale's."""
-    entry = campaign.light_yield
-    if entry is None or SCALE not in campaign.free:
-        return None
-    relative = entry.relative_sigma
-    if (shared := campaign.parameters.get(EFFICIENCY_FACTOR)) is not None:
-        relative = math.hypot(relative, shared.prior_sigma or 0.0)
-    light_yield = scale * entry.per_scale
-    return light_yield, sigma * entry.per_scale, light_yield * relative
-
-
-def _fit_scale(statistic: Statistic, theta: Array) -> tuple[Array, float]:
-    """Parameters with the scale that follows the readings, and its error; all else is held."""
+def _fit_scale(statistic: Statistic, theta: Array) -> Array:
+    """Parameters with the scale that follows the readings; all else is held."""
     place = statistic.index(SCALE)
     held = [i for i in range(len(theta)) if i != place]
     for _ in range(_SCALE_STEPS):
         weights = Weights(statistic.errors_at(theta))
         theta, _, _ = newton(statistic, theta, weights, held=held)
-    slopes = statistic.evaluate(theta, weights)[1][:, place]
-    return theta, float(slopes @ slopes) ** -0.5
+    return theta

@@ -32,7 +32,7 @@ from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 
 _Asked = Mapping[str, Any]
 #: What a request may leave out; the types are those of what it says.
-_LEFT_OUT = {"what": "", "name": "", "column": "", "content": "", "known": -1}
+_LEFT_OUT = {"what": "", "name": "", "column": "", "content": "", "moved": False, "known": -1}
 _FILES = ("scene", "campaign", "report", "session")
 #: What is done with a reading or a fit, whose number is the name.
 _NUMBERED = ("edit", "copy", "drop", "show", "compare", "remove")
@@ -116,10 +116,12 @@ def _read(session: Session) -> tuple[_Asked, Settings]:
         is_ours = False
     if not is_ours:
         flask.abort(400)
-    return asked, session.history.remember(settings, number)
+    # another page may ask at its own settings only because something has ended
+    by_hand = asked["moved"] or bool(asked["what"])
+    return asked, session.history.remember(settings, number, by_hand=by_hand)
 
 
-def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
+def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], object]]:
     """What buttons and switches do, by name; they get what was asked, and the settings."""
 
     def upload(asked: _Asked, _: Settings) -> None:
@@ -132,13 +134,6 @@ def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
         else:
             session.take_readings(asked["name"], content)
 
-    def effect(asked: _Asked, settings: Settings) -> None:
-        name = asked["name"]
-        if name in settings.effects:
-            session.switch_on(name)
-        else:
-            session.switch_off(name)
-
     def edit(asked: _Asked, _: Settings) -> None:
         text = str(asked.get("value", ""))
         session.edit(exchange.with_cell, asked["name"], asked["column"], text)
@@ -150,7 +145,7 @@ def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
         "fit": lambda _, settings: session.fit(settings),
         "diagnose": lambda _, settings: session.diagnose(settings),
         "add": lambda asked, settings: session.add(asked["name"].split(), settings),
-        "effect": effect,
+        "effect": lambda asked, _: session.switch(asked["name"]),
         "get": lambda asked, settings: session.offer(asked["name"], settings),
         "upload": upload,
         "stop": lambda asked, _: session.jobs.stop(asked["name"] or None),

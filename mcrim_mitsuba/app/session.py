@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -28,8 +29,9 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Progress, Run
-from mcrim_mitsuba.inference.diagnose import diagnose
+from mcrim_mitsuba.inference.diagnose import PARTS, diagnose
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.model import Model, ResponseModel
 
 
 class _OutdatedError(Exception):
@@ -105,7 +107,27 @@ class ReadingsModel:
         priors = self.priors_of_fit(settings)
         of_fit = {n: Known(PRIOR, *priors[n]) for n in free & priors.keys()}
         settings = replace(settings, known={**settings.known, **of_fit})
-        return self.live.show(self._history.state.campaign, settings)
+        state, key = self._history.state, self._anchor_key(settings)
+        return self.live.show(state.campaign, settings, state.anchors.get(key))
+
+    def _anchor_key(self, settings: Settings) -> tuple[object, tuple[str, ...]]:
+        return self.live.mark, tuple(sorted(settings.effects))
+
+    def keep_anchor(self, settings: Settings, model: Model | None) -> None:
+        """Models with the effects of these settings are corrected as this one from now on."""
+        if isinstance(model, ResponseModel) and model.anchor is not None:
+            anchors = self._history.state.anchors
+            self._history.change(anchors={**anchors, self._anchor_key(settings): model.anchor})
+
+    def fit_at(self, settings: Settings) -> FitStep | None:
+        """The fit of the readings in the table that ended at these settings; None if none did."""
+        state, controls = self._history.state, self.live.controls
+        for step in reversed(state.steps):
+            alike = step.campaign is state.campaign and not settings.moved_from(step.settings)
+            alike &= set(step.settings.effects) == set(settings.effects)
+            if alike and controls.known(settings) == controls.known(step.settings):
+                return step
+        return None
 
     def shown_beside(self) -> tuple[FitStep, Shown] | None:
         """The fit beside which the model is shown, and what it predicts for today's readings.
@@ -116,7 +138,8 @@ class ReadingsModel:
         if not state.steps:
             return None
         step = state.beside
-        key = (step.number, id(state.campaign), id(self.live), self.live.version)
+        now = (id(state.campaign), id(state.anchors), id(self.live), self.live.version)
+        key = (step.number, *now)
         if self._shown_beside is None or self._shown_beside[0] != key:
             # with what its key is the identity of
             self._shown_beside = (key, state.campaign, self.show(step.settings))
@@ -183,22 +206,37 @@ class Session:
             self._take_fit(fit, Settings(values=before.values), before, campaign)
         self.model.make_ready(effects)
 
-    def switch_on(self, effect: str) -> None:
-        """Simulate an effect, if it was not simulated yet; its switch is off where that fails."""
+    def switch(self, effect: str) -> None:
+        """Fit with an effect that was switched on, or without one that was switched off.
+
+        The switch is as before where that is stopped, or the effect cannot be simulated; where a
+        fit is refused, as of too few readings, the effect is there to be moved by hand.
+        """
+        is_on, key = effect in self.state.settings.effects, f"effect {effect}"
+        if not is_on and self.jobs.stop(key):
+            return
+
+        def before(settings: Settings) -> tuple[str, ...]:
+            rest = tuple(name for name in settings.effects if name != effect)
+            return rest if is_on else (*rest, effect)
+
+        def work() -> None:
+            # with what was switched meanwhile
+            settings = self.state.settings
+            self._make_ready(settings.effects)
+            if self.model.fit_at(settings) is not None:
+                return
+            asked = self._at_found(settings) if is_on else settings
+            with contextlib.suppress(InputError):
+                self._fit(asked, settings, before(settings))
 
         def undo() -> None:
-            settings = self.state.settings
-            kept = tuple(name for name in settings.effects if name != effect)
-            self.history.set_controls(replace(settings, effects=kept))
+            now = self.state.settings
+            self.history.set_controls(replace(now, effects=before(now)))
 
-        if not self.model.is_ready([effect]):
-            words = f"simulating {self.model.live.controls.effects[effect][0].title}"
-            work = functools.partial(self._make_ready, [effect])
-            self.jobs.start(PageJob(f"effect {effect}", words, work, undo=undo))
-
-    def switch_off(self, effect: str) -> None:
-        """Do not simulate an effect any more."""
-        self.jobs.stop(f"effect {effect}")
+        title = self.model.live.controls.effects[effect][0].title
+        words = f"fitting {'with' if is_on else 'without'} {title}"
+        self.jobs.start(PageJob(key, words, work, undo=undo, again=True))
 
     def fit(self, settings: Settings) -> None:
         """Fit all that is switched on, beginning where the controls are."""
@@ -207,25 +245,35 @@ class Session:
     def add(self, effects: Sequence[str], settings: Settings) -> None:
         """Switch more effects on and fit, beginning with the sizes that the diagnosis found."""
         together = tuple(dict.fromkeys((*settings.effects, *effects)))
-        diagnosis = self.state.diagnosis
-        candidate = diagnosis and diagnosis.candidate(together)
-        fitted = candidate.parameters if candidate else {}
-        sizes = {name: estimate.value for name, estimate in fitted.items()}
-        more = replace(settings, effects=together, values={**settings.values, **sizes})
+        more = self._at_found(replace(settings, effects=together))
         offered = self.model.live.controls.effects
         titles = ", ".join(offered[name][0].title for name in effects if name in offered)
         work = functools.partial(self._fit, more, settings)
         self.jobs.start(PageJob(f"add {' '.join(effects)}", f"adding {titles}", work))
 
-    def _fit(self, asked: Settings, on_page: Settings) -> None:
-        """Simulate and fit what is asked for, and show it; as in `_take_fit`."""
+    def _at_found(self, settings: Settings) -> Settings:
+        """Settings with the sizes of their effects that the diagnosis found, if it did."""
+        diagnosis = self.state.diagnosis
+        candidate = diagnosis and diagnosis.candidate(settings.effects)
+        fitted = candidate.parameters if candidate else {}
+        sizes = {name: estimate.value for name, estimate in fitted.items()}
+        return replace(settings, values={**settings.values, **sizes})
+
+    def _fit(
+        self, asked: Settings, on_page: Settings, before: tuple[str, ...] | None = None
+    ) -> None:
+        """Simulate and fit what is asked for, and show it; as in `_take_fit`.
+
+        Undoing brings back the effects that were on `before`, where a switch asked for it.
+        """
         self._make_ready(asked.effects)
         live, campaign = self.model.live, self.state.campaign
         fitted, rest = live.controls.campaign_at(campaign, asked)
         fit = live.simulations_of(fitted).settled_fit(rest, asked.values)
-        live.keep_anchor(asked.effects, fit.model)
-        self.history.keep()
-        self._take_fit(fit, asked, on_page, campaign)
+        with self.history.lock:
+            self.history.keep(before)
+            self.model.keep_anchor(asked, fit.model)
+            self._take_fit(fit, asked, on_page, campaign)
 
     def _take_fit(
         self, fit: Calibration, asked: Settings, on_page: Settings, campaign: Campaign
@@ -267,7 +315,7 @@ class Session:
                     self.history.keep()
                     self.history.change(diagnosis=diagnosis)
 
-        self.jobs.start(PageJob("diagnose", "diagnosing", work))
+        self.jobs.start(PageJob("diagnose", "diagnosing", work, parts=PARTS[1:]))
 
     # ---- the list of fits --------------------------------------------------------------------
 
@@ -289,6 +337,7 @@ class Session:
         self.history.keep()
         if step.campaign is not self.state.campaign:
             self._take_readings(step.campaign)
+        self.model.keep_anchor(step.settings, step.calibration.model)
         self.history.set_controls(step.settings)
 
     def remove_step(self, number: int) -> None:
@@ -408,9 +457,11 @@ class Session:
             file = self._file(what, settings)
             with self.history.lock:
                 self.history.file_number += 1
+                self.history.file_kind = what
                 self.history.change(file=file)
 
-        self.jobs.start(PageJob(f"get-{what}", f"writing the {what}", work))
+        parts = (*PARTS, ("report", 40)) if what == "report" else ()
+        self.jobs.start(PageJob(f"get-{what}", f"writing the {what}", work, parts=parts))
 
     def _file(self, what: str, settings: Settings) -> tuple[str, bytes]:
         """Name and content of a file."""
@@ -421,7 +472,8 @@ class Session:
             return exchange.report_file(self.state.campaign, effects, self._run, self._folder)
         self._make_ready(effects)
         campaign, controls = self.state.campaign, self.model.live.controls
-        values = self.model.live.settle_at(campaign, settings)
+        values, model = self.model.live.settle_at(campaign, settings)
+        self.model.keep_anchor(settings, model)
         if what == "scene":
             return exchange.scene_file(campaign, effects, values)
         fitted, _ = controls.campaign_at(campaign, settings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import threading
+import time
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
@@ -16,6 +17,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, said, unit_of, without_unit
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.efficiency.responses import Anchor
 from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
@@ -26,6 +28,8 @@ from mcrim_mitsuba.output.sentences import quantity
 _LEAST_PART = 1e-3
 #: Changes that can be undone.
 _MOST_UNDONE = 50
+#: Seconds after which another move of the same control is undone by itself.
+_PAUSE_S = 1.0
 
 #: What a fit does with a parameter: varies it, holds it, or varies it with a prior.
 FREE = "free"
@@ -167,6 +171,13 @@ class Settings:
         """What `settings_of` reads."""
         return attributes(self, "effects values fit_scale known")
 
+    def moved_from(self, other: Settings) -> frozenset[str]:
+        """What was slid, typed or chosen since; not effects, nor a scale that follows."""
+        moved = {n for n, value in self.values.items() if other.values.get(n, value) != value}
+        moved -= {SCALE} if self.fit_scale else set()
+        moved |= {f"how {n}" for n, how in self.known.items() if other.known.get(n, how) != how}
+        return frozenset(moved | ({"fit_scale"} if self.fit_scale != other.fit_scale else set()))
+
 
 @dataclass(frozen=True)
 class Controls:
@@ -267,8 +278,8 @@ class Shown:
     p_value: float | None
     #: Signal at an efficiency of 1.
     scale: float
-    #: Photons per keV: value, statistical error with all else held, systematic error.
-    light_yield: tuple[float, float, float] | None
+    #: Photons per keV; None where the campaign does not say how to get it.
+    light_yield: float | None
     #: Effects that are switched on but not simulated yet.
     pending: tuple[str, ...]
 
@@ -306,6 +317,8 @@ class State:
     settings: Settings = field(default_factory=Settings)
     #: Name and content of what is to be downloaded.
     file: tuple[str, bytes] | None = None
+    #: Joint simulations that correct the model, by `LiveModel.mark` and the effects they are of.
+    anchors: Mapping[tuple[object, tuple[str, ...]], Anchor] = field(default_factory=dict)
 
     @property
     def beside(self) -> FitStep:
@@ -338,9 +351,13 @@ class History:
         self.settings_number = 0
         #: Rises with every file to be downloaded.
         self.file_number = 0
+        #: Whether the last one is a scene, a campaign, ...
+        self.file_kind = ""
         #: Rises with everything for which pages are loaded anew.
         self.bench_number = 0
         self._kept: list[State] = []
+        # controls that are being moved, and when they were last
+        self._moving, self._moved_s = frozenset[str](), 0.0
 
     def begin(self, state: State) -> None:
         """Go on with another campaign: nothing of the former one is brought back."""
@@ -362,21 +379,30 @@ class History:
             self.settings_number += 1
             self.change(settings=settings, **changes)
 
-    def remember(self, settings: Settings, number: int) -> Settings:
+    def remember(self, settings: Settings, number: int, *, by_hand: bool = True) -> Settings:
         """Keep what a page's controls say, for the next page that opens; returns what holds.
 
         `number` is the `settings_number` that the page knows: if it is an older one, what it says
-        is out of date.
+        is out of date. How it was before a control was moved `by_hand` is kept for `bring_back`.
         """
         with self.lock:
             if number == self.settings_number:
+                moved, now = settings.moved_from(self.state.settings), time.monotonic()
+                if moved and by_hand:
+                    if moved != self._moving or now - self._moved_s > _PAUSE_S:
+                        self.keep()
+                    self._moving, self._moved_s = moved, now
                 self.state = replace(self.state, settings=settings)
             return self.state.settings
 
-    def keep(self) -> None:
-        """Remember how it is, for `bring_back`."""
+    def keep(self, effects: tuple[str, ...] | None = None) -> None:
+        """Remember how it is, for `bring_back`; with other `effects` switched on, if given."""
         with self.lock:
-            self._kept = [*self._kept[1 - _MOST_UNDONE :], self.state]
+            settings, self._moving = self.state.settings, frozenset()
+            if effects is not None:
+                settings = replace(settings, effects=effects)
+            kept = replace(self.state, settings=settings)
+            self._kept = [*self._kept[1 - _MOST_UNDONE :], kept]
 
     def forget(self) -> None:
         """Let nothing be brought back any more."""
@@ -390,7 +416,7 @@ class History:
     def bring_back(self) -> None:
         """Go back to what was kept last, but for the file to be downloaded."""
         *self._kept, before = self._kept
-        kept = attributes(before, "campaign compared diagnosis")
+        kept = attributes(before, "campaign compared diagnosis anchors")
         # the campaign's own fit stays, once it is there
         self.set_controls(before.settings, steps=before.steps or self.state.steps[:1], **kept)
 

@@ -156,8 +156,10 @@ def diagnose(campaign, figure, json_file, work, without, only, sure) -> None:
 
     The campaign is fitted with each effect added in turn; all sets of up to three are weighed.
     """
+    from mcrim_mitsuba.inference.diagnose import PARTS
+
     read = showing.read_campaign(campaign, json_file, figure)
-    with work.begin() as run:
+    with work.begin(parts=PARTS) as run:
         diagnosis = mcrim.diagnose(read, without=without, only=only, sure=sure, run=run)
     screen = showing.answer(diagnosis, json_file, figure)
     screen.line(f"Next: {_after_diagnosis(campaign, diagnosis)}", style="bold")
@@ -220,6 +222,7 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
 
     Writes a campaign and a scene with the effects in them, to go on from.
     """
+    from mcrim_mitsuba.inference.diagnose import PARTS
     from mcrim_mitsuba.inference.repair import refuse_others_work
     from mcrim_mitsuba.output import describe_campaign
     from mcrim_mitsuba.output.description import rich_tables
@@ -240,7 +243,7 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
         if not live:
             screen.line(describe_campaign.step_text(step))
 
-    with work.begin(growing if live else None) as run:
+    with work.begin(growing if live else None, PARTS) as run:
         repaired = mcrim.repair(read, path, effect=effect, on_step=show, run=run)
     description = describe_campaign.of_repair(repaired, with_steps=live)
     showing.answer(repaired, json_file, figure, description)
@@ -263,11 +266,12 @@ def report(campaign, path, json_file, work) -> None:
 
     It needs no network and opens in any browser; print it to have it as PDF.
     """
+    from mcrim_mitsuba.inference.diagnose import PARTS
     from mcrim_mitsuba.output.report import SUFFIXES, refuse_output
 
     read = showing.read_campaign(campaign, json_file, written={"--output": (path, SUFFIXES)})
     refuse_output(path, read.files)
-    with work.begin() as run:
+    with work.begin(parts=(*PARTS, ("report", 40))) as run:
         page = mcrim.report(read, path, run=run)
     screen = showing.answer(page, json_file)
     screen.line(f"{page.path} was written: open it in a browser", style="bold")
@@ -352,7 +356,11 @@ def app(campaign, port, no_browser, run) -> None:
         screen.line(f"the page is at {address}")
         screen.line("Ctrl-C ends it")
         if not no_browser:
-            webbrowser.open(address)
+            # other users see the arguments of a browser, but not what is in this file
+            door = folder / "open.html"
+            door.touch(0o600)
+            door.write_text(f'<meta http-equiv="refresh" content="0;url={address}">')
+            webbrowser.open(door.as_uri())
 
     with page_folder() as folder:
         session = Session(read, run, folder)

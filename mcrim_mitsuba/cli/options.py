@@ -21,7 +21,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import sha256
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
 from mcrim_mitsuba.core.rounding import counted
-from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run, processors
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Parts, Run, processors
 from mcrim_mitsuba.runs.array_job import (
     DEFAULT_FOLDER,
     ArrayPart,
@@ -406,14 +406,14 @@ class Work:
     run: Run
 
     @contextlib.contextmanager
-    def begin(self, above: RenderableType | None = None) -> Iterator[Run]:
-        """Let what follows be done by whom the options name; `above` is shown over the bar.
+    def begin(self, above: RenderableType | None = None, parts: Parts = ()) -> Iterator[Run]:
+        """Let what follows be done by whom options name; `above` stands over the bar of `parts`.
 
         Raises InputError if the cluster does not answer, or the array job's folder cannot be used;
         PartDoneError at the end of a part of an array job.
         """
         with (
-            terminal.photon_progress(above, log=self.log) as report,
+            terminal.photon_progress(above, self.log, parts) as report,
             self._executor() as executor,
             use_executor(executor),
         ):

@@ -27,7 +27,7 @@ from rich.text import Text
 from mcrim_mitsuba.core import files
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import STDOUT, silence_stdout
-from mcrim_mitsuba.core.run import ENDING_SIGNALS
+from mcrim_mitsuba.core.run import ENDING_SIGNALS, JobProgress, Parts
 from mcrim_mitsuba.output.description import UNLIMITED, Part, renderables, sentence
 from mcrim_mitsuba.runs.array_job import PartDoneError
 from mcrim_mitsuba.runs.executors import log
@@ -195,33 +195,28 @@ class _Words(progress.TextColumn):
         return words
 
 
-def progress_bar(console: Console, *, disable: bool = False) -> _Progress:
-    """Bars of tasks that have a field `note`."""
-    return _Progress(
+@contextlib.contextmanager
+def photon_progress(
+    above: RenderableType | None = None, log: str | None = None, parts: Parts = ()
+) -> Iterator[Report]:
+    """One bar for all `parts` of a command, on standard error, silent in a pipe.
+
+    What stands `above` it is shown again and again as it changes; the progress is appended to a
+    `log`, unit by unit. Raises InputError if that cannot be written.
+    """
+    bar = _Progress(
         _Words("{task.description}"),
         progress.BarColumn(20),
         progress.TextColumn("{task.percentage:>3.0f} %"),
         _Words("{task.fields[note]}"),
         progress.TimeElapsedColumn(),
-        progress.TimeRemainingColumn(),
-        console=console,
+        progress.TextColumn("{task.fields[job].left}"),
+        console=Console(stderr=True),
         transient=True,
-        disable=disable,
+        disable=not sys.stderr.isatty(),
     )
-
-
-@contextlib.contextmanager
-def photon_progress(
-    above: RenderableType | None = None, log: str | None = None
-) -> Iterator[Report]:
-    """A progress bar on standard error, silent in a pipe.
-
-    What stands `above` it is shown again and again as it changes; the progress is appended to a
-    `log`, unit by unit. Raises InputError if that cannot be written.
-    """
-    bar = progress_bar(Console(stderr=True), disable=not sys.stderr.isatty())
-    bar.above = above
-    tasks: dict[str, progress.TaskID] = {}
+    bar.above, job = above, JobProgress(parts)
+    tasks: list[progress.TaskID] = []
 
     with contextlib.ExitStack() as opened:
         written = None if log is None else opened.enter_context(progress_log(log))
@@ -229,9 +224,10 @@ def photon_progress(
         def report(what: str, done: int, total: int, note: str = "") -> None:
             shown = f"{done / 1e6:.3g} of {total / 1e6:.3g} million photons, {note}"
             shown = shown if total >= MOST_PIECES else note
-            if what not in tasks:
-                tasks[what] = bar.add_task(what, total=total, note=shown)
-            bar.update(tasks[what], completed=done, total=total, note=shown)
+            job.tell(what, done, total)
+            if not tasks:
+                tasks.append(bar.add_task(what, total=1.0, note="", job=job))
+            bar.update(tasks[0], description=what, completed=job.done, note=shown)
             if written is not None:
                 written(what, done, total, note)
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import os
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Protocol
@@ -52,6 +54,67 @@ class Progress(Protocol):
         That is in photons; in benches, of which `total` are few, where they are solved without any.
         The note is of units, and the error reached: ``12 of 180 units, error 0.3 %``.
         """
+
+
+#: Names of a job's parts, or how they begin, in their order, with the time that each takes.
+Parts = Sequence[tuple[str, float]]
+
+
+class JobProgress:
+    """How far a whole job is, by what is told of its parts: one bar, which never goes back.
+
+    Parts that go on side by side count together. Those that are not among the `parts` to come take
+    most of what is left.
+    """
+
+    _MOST = 0.95
+    #: Before so much of a part is done, and for so long, nobody knows how long it takes.
+    _FIRST, _FIRST_S = 0.04, 2.0
+
+    def __init__(self, parts: Parts = ()) -> None:
+        #: The whole job, 0 to 1.
+        self.done = 0.0
+        whole = sum(share for _, share in parts) / self._MOST
+        ends = itertools.accumulate((share / whole for _, share in parts), initial=0.0)
+        places = zip(parts, itertools.pairwise(ends), strict=True)
+        self._coming = [(name, begin, end) for (name, _), (begin, end) in places]
+        # what goes on now, how far that is, and its place in the whole
+        self._open: dict[str, tuple[int, int]] = {}
+        self._begin, self._end, self._since_s = 0.0, 0.0, 0.0
+        # when that was told, and how long the whole takes at its pace
+        self._told_s, self._whole_s = 0.0, 0.0
+
+    def tell(self, what: str, done: int, total: int) -> None:
+        """Take over how far a part is, as `Progress` says."""
+        before = self._open.get(what)
+        ended = all(part >= whole for part, whole in self._open.values())
+        if ended if before is None else done < before[0]:
+            # the next one: where it stands among those to come, or at the end of the last one
+            self._open, self._since_s = {}, time.monotonic()
+            places = (i for i, (name, *_) in enumerate(self._coming) if what.startswith(name))
+            if (place := next(places, None)) is not None:
+                _, begin, self._end = self._coming[place]
+                self._begin = self.done = max(self.done, begin)
+                self._coming = self._coming[place + 1 :]
+            elif not self._coming:
+                self._begin = self.done = max(self.done, self._end)
+                self._end = self.done + self._MOST * (0.99 - self.done)
+        self._open[what] = done, total
+        done, total = (sum(counts) for counts in zip(*self._open.values(), strict=True))
+        if total > len(self._open):
+            now = self._begin + (self._end - self._begin) * done / total
+            self.done, self._told_s = max(self.done, now), time.monotonic()
+            seconds = self._told_s - self._since_s
+            if now > self._begin and done > self._FIRST * total and seconds > self._FIRST_S:
+                self._whole_s = seconds / (now - self._begin)
+
+    @property
+    def left(self) -> str:
+        """``40 s left``, at the pace of what went on last; empty where nobody knows."""
+        seconds = self._whole_s * (1.0 - self.done) - (time.monotonic() - self._told_s)
+        if seconds < 1:
+            return ""
+        return f"{seconds:.0f} s left" if seconds < 100 else f"{seconds / 60:.0f} min left"
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,10 @@ from mcrim_mitsuba.inference.weighing import (
 )
 from mcrim_mitsuba.runs.executors import more_units_follow
 
+#: What is told of a diagnosis (`core.run.JobProgress`): its parts, and their usual times, s.
+PARTS = (("sim", 15), ("sim", 35), ("sim", 36), ("trying", 7), ("weighing", 14), ("proposed", 8))
+
+
 # ---- the steps of a repair ----
 
 
@@ -462,7 +466,7 @@ def _judged(
     explanations: Explanations, seed: int, sure: float, progress: Callable[[str], None]
 ) -> Judgement:
     """Every effect fitted, and all sets of causes weighed."""
-    progress(f"fitting {len(explanations.effects)} effects")
+    progress(f"trying {len(explanations.effects)} effects")
     fits = explanations.singles()
     lowest = min((fit.deviance for fit in fits.values()), default=0.0)
     for name, fit in fits.items():

@@ -46,7 +46,7 @@ def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, scen
         assert 80 < misfit < 130
         browser.screenshot_whole("1 as it came")
 
-        browser.find("#diagnose").click()
+        browser.click("#diagnose")
         browser.find("#stop:not([hidden])")
         seen = set()
 
@@ -64,7 +64,7 @@ def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, scen
 
         leading = browser.find("#diagnosis button.main")
         assert leading.get_attribute("aria-label") == "add air bubble in the gap and fit"
-        leading.click()
+        browser.click("#diagnosis button.main")
         browser.wait_for(
             lambda: "The last fit, with air bubble in the gap" in browser.text("#fitted"),
             "fit",
@@ -74,15 +74,15 @@ def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, scen
         browser.wait_for(lambda: app.chi2 < 25, "fall of chi2")
         assert app.control("effect", "gap_bubble").is_selected()
         assert 0.2 < float(app.control("number", "bubble_fraction").get_property("value")) < 0.4
-        browser.find("#fit").click()
+        browser.click("#fit")
         time.sleep(1)  # it may be over before anybody sees that it runs
         app.settled()
         assert app.chi2 < 25
-        browser.find("#table-details summary").click()
+        browser.click("#table-details summary")
         browser.screenshot_whole("3 mended")
 
         # the downloaded scene is what the page shows
-        browser.find("#get-scene").click()
+        browser.click("#get-scene")
         scene = browser.downloaded(".xml", LONGEST_SIMULATION_S)
         app.settled()
         assert "bubble" in scene.read_text()
@@ -98,7 +98,7 @@ def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, scen
             z.append((found["eta"] - shown) / (found["eta_sigma"] ** 2 + error**2) ** 0.5)
         assert len(z) == 6 and max(map(abs, z)) < 3.5, z
 
-        browser.find("#get-campaign").click()
+        browser.click("#get-campaign")
         with zipfile.ZipFile(browser.downloaded(".zip", LONGEST_SIMULATION_S)) as packed:
             packed.extractall(tmp_path / "mended")
         app.settled()
@@ -106,7 +106,7 @@ def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, scen
         fitted = mcrim(tmp_path / "fit.json", "calibrate", mended, "--photons=65536")
         assert fitted["chi2"] < 25
 
-        browser.find("#get-report").click()
+        browser.click("#get-report")
         report = browser.downloaded(".html", LONGEST_SIMULATION_S).read_text()
         app.settled()
         assert "gap_bubble" in report and "gel hole 4" in report
@@ -115,7 +115,7 @@ def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, scen
         app.settled()
         assert app.control("effect", "gap_bubble").is_selected() and app.chi2 < 25
         browser.resize(390, 844)
-        browser.find("#table-details summary").click()
+        browser.click("#table-details summary")
         time.sleep(1)
         browser.screenshot_whole("4 narrow")
         assert width_of_page(browser) <= 390

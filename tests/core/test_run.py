@@ -11,6 +11,7 @@ from refusals import refusal
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from mcrim_mitsuba.core.run import (
+    JobProgress,
     OverAxes,
     Provenance,
     Run,
@@ -43,6 +44,29 @@ def test_progress_is_told_here_and_sent_nowhere():
     sent = pickle.loads(pickle.dumps(run))
     assert sent.progress is None and sent == Run()
     Run().tell("eta", 1, 2)
+
+
+def test_a_job_is_one_bar_that_never_goes_back():
+    looks = [("simulation", done, 100) for done in (0, 50, 100)]
+    further = [("simulation", done, 300) for done in (0, 150, 300)]
+    fits = [("trying 52 effects", 1, 1), ("weighing", 1, 1), ("one more", 1, 1)]
+    bar, places = JobProgress([("simulation", 10), ("simulation", 20), ("trying", 8)]), []
+    for report in (*looks, ("looking", 1, 1), *further, *fits):
+        bar.tell(*report)
+        places.append(round(bar.done, 3))
+    # the same name again is the next part; what is in no plan does not take the others' places
+    assert places == [0, 0.125, 0.25, 0.25, 0.25, 0.5, 0.75, 0.75, 0.95, 0.988]
+    assert bar.left == ""  # too quick to tell
+
+    # side by side, and one after the other, without a plan
+    bar, places = JobProgress(), []
+    for report in (("air", 0, 100), ("gel", 0, 300), ("gel", 150, 300), ("air", 100, 100)):
+        bar.tell(*report)
+        places.append(round(bar.done, 3))
+    assert places == [0, 0, 0.353, 0.588]
+    bar.tell("gel", 300, 300)
+    bar.tell("fitting", 1, 1)
+    assert round(bar.done, 3) == 0.941
 
 
 def test_linear_algebra_has_one_thread_meanwhile():

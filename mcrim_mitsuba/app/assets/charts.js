@@ -4,9 +4,13 @@ const SVG = "http://www.w3.org/2000/svg";
 const TOP = 12;
 const LEFT = 52;
 const RIGHT = 12;
-// heights of the panels of signals and pulls, and of what is between them
-const SIGNALS = 250;
-const PULLS = 150;
+// heights of the panels of signals and pulls, and characters of a label; a low window's chart stays
+// beside its sliders, a narrow one above them
+const TALL = { signals: 250, pulls: 150, label: Infinity };
+const LOW = { signals: 150, pulls: 100, label: Infinity };
+const SMALL = { signals: 104, pulls: 78, label: 11 };
+const [NARROW_PX, LOW_PX] = [480, 800];
+// between the panels
 const BETWEEN = 26;
 // of a character of a slanting label, and the least width that one needs
 const LABEL_PX = 5.2;
@@ -109,9 +113,13 @@ function frame(place, chart, extents) {
   const count = chart.signal.length;
   const end = chart.percent === null ? RIGHT : LEFT;
   const right = Math.max(place.clientWidth - LEFT - end, READING_PX * count);
-  const longest = Math.max(...chart.short.map((label) => label.length));
-  const pullsTop = TOP + SIGNALS + BETWEEN;
-  const floor = pullsTop + PULLS;
+  const size = window.innerHeight < LOW_PX ? LOW : TALL;
+  const { signals, pulls, label: most } = place.clientWidth < NARROW_PX ? SMALL : size;
+  const labels = chart.short.map((label) =>
+    label.length > most ? `${label.slice(0, most - 1)}…` : label);
+  const longest = Math.max(...labels.map((label) => label.length));
+  const pullsTop = TOP + signals + BETWEEN;
+  const floor = pullsTop + pulls;
   const wide = right / count;
   const every = Math.ceil(LABEL_STEP / wide);
   // the axis stays where it is while many readings are scrolled through
@@ -127,8 +135,8 @@ function frame(place, chart, extents) {
   const made = {
     svg: svg, wide: wide, scrolled: scrolled,
     x: (i) => wide * (i + 0.5),
-    signal: (value) => TOP + (SIGNALS * (top - value)) / (top - bottom),
-    pull: (value) => pullsTop + (PULLS * (pull - value)) / (2 * pull),
+    signal: (value) => TOP + (signals * (top - value)) / (top - bottom),
+    pull: (value) => pullsTop + (pulls * (pull - value)) / (2 * pull),
   };
   for (const [sigmas, look] of [[2, "two"], [1, "one"]]) {
     element("rect", { class: `band ${look}`, x: 0, width: right,
@@ -139,16 +147,17 @@ function frame(place, chart, extents) {
   grid(svg, ticks(-pull, pull), made.pull, 0, right, axis);
   const zero = made.pull(0);
   element("line", { class: "zero", x1: 0, x2: right, y1: zero, y2: zero }, svg);
-  title(axis, chart.unit ? `signal (${chart.unit})` : "signal", 14, TOP + SIGNALS / 2);
-  title(axis, "pull (σ)", 14, pullsTop + PULLS / 2);
+  const hasRoom = chart.unit && 7 * chart.unit.length + 60 < signals + BETWEEN;
+  title(axis, hasRoom ? `signal (${chart.unit})` : "signal", 14, TOP + signals / 2);
+  title(axis, "pull (σ)", 14, pullsTop + pulls / 2);
   if (chart.percent !== null) {
     for (const value of ticks(bottom / chart.percent, top / chart.percent)) {
       element("text", { class: "tick", x: right + 6, y: made.signal(value * chart.percent) + 4 },
         svg, numberText(value));
     }
-    title(svg, "transmittance (%)", right + end - 6, TOP + SIGNALS / 2);
+    title(svg, "transmittance (%)", right + end - 6, TOP + signals / 2);
   }
-  chart.short.forEach(function (label, i) {
+  labels.forEach(function (label, i) {
     if (i % every === 0) {
       const place = `translate(${made.x(i) + 4} ${floor + 14}) rotate(-45)`;
       element("text", { class: "label", "text-anchor": "end", transform: place }, svg, label);

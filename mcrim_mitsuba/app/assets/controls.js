@@ -8,7 +8,7 @@ export function write(place, text) {
   }
 }
 
-// what has the focus keeps it
+// what has the focus keeps it, and what is open stays open
 export function swap(id, html) {
   const place = $(id);
   if (place.given === html) {
@@ -16,8 +16,13 @@ export function swap(id, html) {
   }
   const focus = place.contains(document.activeElement) ? document.activeElement : null;
   const at = focus && (focus.id || focus.dataset.key);
+  const titleOf = (details) => details.querySelector("summary").textContent;
+  const open = [...place.querySelectorAll("details[open]")].map(titleOf);
   place.given = html;
   place.innerHTML = html;
+  for (const details of place.querySelectorAll("details")) {
+    details.open = open.includes(titleOf(details));
+  }
   if (at) {
     const same = [...place.querySelectorAll("[id], [data-key]")];
     (same.find((one) => one.id === at || one.dataset.key === at) || place).focus();
@@ -91,11 +96,16 @@ export class Control {
     return Number(inside.toPrecision(4));
   }
 
+  // whether somebody types there, and has not said that it is all
+  static isTyped(field) {
+    return document.activeElement === field && Boolean(field.dataset.typing);
+  }
+
   show(value, force = false) {
     const [low, high] = this.ends;
     this.slider.value = Math.round((STEPS * (this.coordinateOf(value) - low)) / (high - low));
     this.slider.setAttribute("aria-valuetext", shownNumber(value));
-    if (force || document.activeElement !== this.field || !this.field.dataset.typing) {
+    if (force || !Control.isTyped(this.field)) {
       this.field.value = shownNumber(value);
       this.refuse(this.field, "");
     }

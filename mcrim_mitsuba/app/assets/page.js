@@ -9,6 +9,8 @@ const IDLE_MS = 1500;
 const PATIENCE_MS = 15000;
 // what may be sent to the page, and what the server takes (base64 is a third longer)
 const MOST_UPLOADED = 10e6;
+// while a slider moves nothing is read out
+const QUIET_MS = 600;
 
 const controls = new Map(
   [...document.querySelectorAll(".control")].map((one) => [one.dataset.name, new Control(one)])
@@ -27,6 +29,8 @@ const follows = document.querySelector("#fit-scale input");
 let settings = null;
 let numbers = { number: -1, settings_number: -1 };
 let fileNumber = Number(document.body.dataset.file);
+// files that were asked for here
+const wanted = new Set();
 
 function sent() {
   return { settings: settings, settings_number: numbers.settings_number };
@@ -45,7 +49,56 @@ function shade() {
   document.body.classList.toggle("stale", stale);
   if (wrong) {
     write($("pending"), "These numbers are of other values: a field holds none that can be used.");
+  } else if ($("slip").textContent === MEND_FIRST) {
+    write($("slip"), "");
   }
+}
+const MEND_FIRST = "a field holds a value that cannot be used: mend it first";
+
+// ---- what has changed, in words ----
+
+// what was done here last, until it shows; values moved here since the controls were last set
+let doing = "";
+const moved = new Map();
+const changes = { why: "", from: null, to: null, p: "", lost: "", timer: null };
+
+function titleOf(name) {
+  return controls.get(name)?.element.getAttribute("aria-label") || name;
+}
+
+// nothing changes without a word: who changed chi2, from what to what
+function tellChange(chi2, p) {
+  if (chi2 === "…") {
+    return;
+  }
+  changes.from ??= chi2;
+  [changes.to, changes.p] = [chi2, p];
+  window.clearTimeout(changes.timer);
+  changes.timer = window.setTimeout(writeChange, QUIET_MS);
+}
+
+function writeChange() {
+  const { why, from, to, p, lost } = changes;
+  if (doing) {
+    changes.timer = window.setTimeout(writeChange, QUIET_MS); // it is told when it is done
+    return;
+  }
+  if (from !== to || why) {
+    const fall = from === to ? `χ² = ${to} as before` : `χ² ${from} → ${to}, p = ${p}`;
+    write($("changed"), `${why ? `${why}: ` : ""}${fall}${lost}`);
+  }
+  [changes.why, changes.from, changes.lost] = ["", to, ""];
+}
+
+// values that were moved here and that somebody, or a fit, has moved since
+function tellLost(values) {
+  const lost = [...moved].filter(([name, value]) =>
+    Math.abs(values[name] - value) > 1e-6 * Math.abs(value));
+  if (lost.length) {
+    const words = lost.map(([name, value]) => `${titleOf(name)}, ${shownNumber(value)} here`);
+    changes.lost = `; it moved ${words.join(" and ")}: Undo leads back to it`;
+  }
+  moved.clear();
 }
 
 // ---- the server ----
@@ -59,9 +112,9 @@ function ask(address, body) {
   }
   return fetch(address, options).then(
     async function (answer) {
-      connect(true);
+      connect(answer.status !== 403, "This page is of a mcrim app that was ended or started again");
       if (!answer.ok) {
-        write($("slip"), (await answer.text()).trim());
+        write($("slip"), answer.status === 403 ? "" : (await answer.text()).trim());
         return null;
       }
       return answer.json();
@@ -73,15 +126,15 @@ function ask(address, body) {
   );
 }
 
-function connect(is) {
+function connect(is, words = "The connection to mcrim is lost") {
   document.body.classList.toggle("lost", !is);
   document.querySelector("main").inert = !is;
   $("stop").disabled = !is;
   $("undo").inert = !is;
   write(
     $("lost"),
-    is ? "" : "The connection to mcrim is lost: nothing here is kept or computed any more. If it " +
-      "was ended, start mcrim app again and open the address that it prints."
+    is ? "" : `${words}: nothing here is kept or computed any more. If it was ended, start ` +
+      "mcrim app again and open the address that it prints."
   );
   if (!is) {
     write($("status"), "not connected");
@@ -91,6 +144,8 @@ function connect(is) {
 // Predictions: one question at a time, and the newest settings after it.
 let asking = false;
 let again = false;
+// whether something was moved here since the last question
+let stirred = false;
 function predict() {
   unanswered = true;
   shade();
@@ -100,7 +155,9 @@ function predict() {
   }
   asking = true;
   again = false;
-  ask("predictions", sent()).then(function (told) {
+  const body = { ...sent(), moved: stirred };
+  stirred = false;
+  ask("predictions", body).then(function (told) {
     asking = false;
     if (again) {
       predict();
@@ -156,8 +213,11 @@ readingsChart.addEventListener("keydown", function (event) {
   }
 });
 $("rows").addEventListener("focusin", function (event) {
-  select(event.target.closest("tr").sectionRowIndex);
-  scrollTo(readingsChart, selected);
+  const row = event.target.closest("tbody tr");
+  if (row) {
+    select(row.sectionRowIndex);
+    scrollTo(readingsChart, selected);
+  }
 });
 
 function present(told) {
@@ -165,9 +225,13 @@ function present(told) {
   for (const [id, text] of Object.entries(told.texts)) {
     write($(id), text);
   }
+  $("undo").disabled = !told.can_undo;
   if (!told.cells) {
     pending = true;
     return;
+  }
+  if (!pending) {
+    tellChange(told.texts.chi2, told.texts["p-value"]);
   }
   told.cells.forEach(function (row, i) {
     const places = rows.rows[i] ? rows.rows[i].querySelectorAll(".of-model") : [];
@@ -187,8 +251,9 @@ function present(told) {
 
 function takeOver(told) {
   settings = told.settings;
+  tellLost(settings.values);
   for (const [name, control] of controls) {
-    control.show(settings.values[name], true);
+    control.show(settings.values[name]);
     showKnown(control, settings.known[name], true);
   }
   for (const [name, { box, sizes }] of boxes) {
@@ -204,7 +269,7 @@ function showKnown(control, known, force) {
   control.how.value = known.how;
   control.element.querySelector(".prior").hidden = known.how !== "prior";
   if (force) {
-    for (const field of control.priors) {
+    for (const field of [...control.priors].filter((each) => !Control.isTyped(each))) {
       const value = known[field.dataset.of];
       field.value = value === null ? "" : shownNumber(value);
       control.refuse(field, "");
@@ -215,6 +280,19 @@ function showKnown(control, known, force) {
   }
 }
 
+// beside the switches how far chi2 would fall, and the most of them beside their family
+function showGains(gains) {
+  for (const place of document.querySelectorAll(".gain[id]")) {
+    write(place, gains[place.id.slice("gain-".length)]?.[1] || "");
+  }
+  for (const family of document.querySelectorAll(".family")) {
+    const names = [...family.querySelectorAll(".effect")].map((each) => each.dataset.effect);
+    const most = Math.max(...names.map((name) => gains[name]?.[0] || 0));
+    write(family.querySelector(".most"), most >= 4 ? `χ² up to −${Math.round(most)}` : "");
+  }
+}
+
+let fits = 0;
 function update(told) {
   if (!told) {
     return;
@@ -229,8 +307,16 @@ function update(told) {
   numbers = told;
   if (told.settings) {
     if (told.settings_number !== before.settings_number) {
+      changes.why = before.number < 0 || !fits ? "" : doing || "Another page";
+      doing = "";
+      window.clearTimeout(changes.timer); // predictions follow
       takeOver(told);
     }
+    if (told.steps.length && !fits) {
+      changes.from = null; // the campaign is fitted as it came
+    }
+    fits = told.steps.length;
+    showGains(told.gains);
     const isFirst = !rows.rows.length;
     if (showReadings(told.readings, told.settings_number !== before.settings_number)) {
       benches.clear();
@@ -239,6 +325,7 @@ function update(told) {
     for (const [id, html] of Object.entries(told.parts)) {
       swap(id, html);
     }
+    reachScrolled();
     if (isFirst) {
       // who did by the keyboard what loads the page anew goes on where that was
       $("table-details").open ||= window.sessionStorage.getItem("table") === "open";
@@ -252,38 +339,65 @@ function update(told) {
   showJob(told.job);
   if (told.file_number !== fileNumber) {
     fileNumber = told.file_number;
-    const link = document.createElement("a");
-    [link.href, link.download] = ["file", ""];
-    link.click();
+    if (wanted.delete(told.file_kind)) {
+      const link = document.createElement("a");
+      [link.href, link.download] = ["file", ""];
+      link.click();
+    }
   }
   if ("slip" in told) {
     write($("slip"), told.slip);
   }
 }
 
+// what is scrolled sideways is reached by the keyboard
+function reachScrolled() {
+  for (const place of document.querySelectorAll(".scroll, .scrolled")) {
+    if (place.scrollWidth > place.clientWidth + 1) {
+      place.tabIndex = 0;
+    } else {
+      place.removeAttribute("tabindex");
+    }
+  }
+}
+window.addEventListener("resize", reachScrolled);
+document.addEventListener("toggle", reachScrolled, true);
+
+// what has the focus is not below the bar, whatever stands in it
+const heights = new ResizeObserver(function (entries) {
+  for (const { target } of entries) {
+    document.documentElement.style.setProperty(`--${target.id}`, `${target.offsetHeight}px`);
+  }
+});
+heights.observe($("bar"));
+heights.observe(readingsChart);
+
+// failures that were read before something was mended
+let mended = "";
 function showJob(job) {
   const busy = job.key !== null;
   const [next, ...others] = job.waiting.map((one) => one.words);
   const more = others.length ? ` and ${others.length} more` : "";
   write($("status"), next ? `${job.words}; then ${next}${more}` : job.words);
-  write($("error"), job.said.join("\n"));
+  const failures = job.said.join("\n");
+  mended = failures ? mended : "";
+  write($("error"), failures === mended ? "" : failures);
   write($("stopped"), job.stopped);
   $("stop").hidden = !busy;
   const progress = $("progress");
-  progress.max = Math.max(job.total, 1);
-  if (busy && job.total <= 1) {
+  progress.hidden = !busy;
+  if (busy && !job.done) {
     progress.removeAttribute("value"); // it runs to and fro
   } else {
     progress.value = busy ? job.done : 0;
   }
   const waiting = job.waiting.map((one) => one.key);
-  const part = busy && job.total > 1 ? job.done / job.total : 0;
   for (const button of document.querySelectorAll("[data-key]")) {
     const runs = button.dataset.key === job.key;
     const waits = waiting.includes(button.dataset.key);
     button.classList.toggle("running", runs);
     button.classList.toggle("waiting", waits);
-    button.style.setProperty("--done", `${runs ? 100 * part : 0}%`);
+    button.style.setProperty("--done", `${runs ? 100 * job.done : 0}%`);
     if (button.dataset.do === "stop") {
       button.hidden = !runs && !waits;
       continue;
@@ -299,23 +413,45 @@ function showJob(job) {
 }
 
 let looking = null;
+// begins and ends of what was asked for here: what was looked at before it knows nothing of it
+let acts = 0;
 function look() {
   window.clearTimeout(looking);
+  const before = acts;
   ask(`state?known=${numbers.number}`)
     .then(update)
     .finally(function () {
       const busy = numbers.job && (numbers.job.key !== null || numbers.job.waiting.length);
+      if (!busy && acts === before) { // what was asked for has ended
+        doing = "";
+        wanted.clear();
+      }
       window.clearTimeout(looking);
       looking = window.setTimeout(look, busy ? BUSY_MS : IDLE_MS);
     });
 }
 
+const WORDS = {
+  fit: "Fit", add: "Added", undo: "Undo", upload: "Opened", effect: "Fit",
+  back: "As it came", show: "Gone back", remove: "Removed",
+  edit: "Readings changed", copy: "Readings changed", drop: "Readings changed",
+};
+
 function act(what, name = "", more = {}) {
   if (!settings) {
     return Promise.resolve(null);
   }
+  if (WORDS[what]) {
+    doing = WORDS[what];
+    moved.clear();
+  }
+  if (what === "get") {
+    wanted.add(name);
+  }
   const body = { ...sent(), ...more, what: what, name: name, known: numbers.number };
+  acts += 1;
   return ask("do", body).then(function (told) {
+    acts += 1;
     update(told);
     look();
     return told;
@@ -343,15 +479,25 @@ document.addEventListener("click", function (event) {
         }
       });
     } else {
-      write($("slip"), "a field holds a value that cannot be used: mend it first");
+      write($("slip"), MEND_FIRST);
     }
   } else if (button.id === "upload-button") {
     file.click();
   }
 });
 
+// what failed was of other values
+function mend() {
+  mended = $("error").textContent || mended;
+  write($("error"), "");
+}
+
 function set(control, value) {
   settings.values[control.name] = value;
+  stirred = true;
+  moved.set(control.name, value);
+  changes.why = `${titleOf(control.name)} ${shownNumber(value)}`;
+  mend();
   if (control.name === "scale" && settings.fit_scale) {
     follows.checked = settings.fit_scale = false; // what is set by hand does not follow
   }
@@ -403,6 +549,7 @@ function know(control) {
     control.refuse(field, lacks ? `the prior needs ${what}` : "");
   }
   settings.known[control.name] = known;
+  stirred = true;
   showKnown(control, known, false);
   if (control.name === "scale" && known.how === "held") {
     follows.checked = settings.fit_scale = false;
@@ -445,12 +592,14 @@ document.addEventListener("change", function (event) {
     know(controls.get(control.dataset.name));
   } else if (field === follows) {
     settings.fit_scale = follows.checked;
+    stirred = true;
     predict();
   } else if (field.closest(".switch")) {
     const name = field.closest(".effect").dataset.effect;
     boxes.get(name).sizes.hidden = !field.checked;
     const others = settings.effects.filter((each) => each !== name);
     settings.effects = field.checked ? [...others, name] : others;
+    mend();
     act("effect", name);
     predict();
   }
@@ -458,7 +607,7 @@ document.addEventListener("change", function (event) {
 
 // ---- files ----
 
-const upload = document.querySelector("#files");
+const upload = document.body;
 const file = document.querySelector("#upload input");
 
 function open(chosen) {

@@ -53,6 +53,10 @@ export function refuseCell(field, problem) {
     field.after(words);
   }
   write(words, problem);
+  if (words) {
+    words.id = `wrong-${field.id}`;
+    field.setAttribute("aria-describedby", words.id);
+  }
   field.setAttribute("aria-invalid", String(Boolean(problem)));
   field.dataset.problem = problem;
   delete field.dataset.typing;
