@@ -34,7 +34,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     if numba is None:
         return function
     # without counted references, which would cost half of the time: none makes arrays
-    options = {"nogil": True, "error_model": "numpy", "_nrt": False}
+    options = {"nogil": True, "error_model": "numpy", "_nrt": False, "forceinline": True}
     compile_it: Callable[..., Any] = numba.njit(cache=bool(numba.config.CACHE_DIR), **options)
     return compile_it(function)
 

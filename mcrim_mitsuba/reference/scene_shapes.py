@@ -19,6 +19,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.faces import (
     Face,
     Floats,
+    around,
     ellipse,
     ellipsoid,
     half_space,
@@ -283,16 +284,16 @@ def _frame(shape: Properties, matrix: Floats) -> list[Face]:
     """A square with a hole: square, oblong, of several sides or round."""
     outer, sides = shape.number("outer_width"), int(shape.number("sides", 4))
     half, start = outer / 2.0, _cut(shape) * outer / 2.0
-    around = _moved(matrix, _square((start, half), (-half, half)))
+    whole = polygon(_moved(matrix, _square((start, half), (-half, half))))
     if "inner_diameter" in shape:
         ways = (matrix[:3, :2] * shape.number("inner_diameter") / 2.0).T
-        return [with_round_hole(polygon(around), matrix[:3, 3], *ways)]
+        return [with_round_hole(whole, matrix[:3, 3], *ways)]
     inner = outer - 2.0 * shape.number("rim") if "rim" in shape else shape.number("inner_width")
     if outer - inner <= 2.0 * _NARROWEST * outer or half - start <= _NARROWEST * outer:
         return []
     wide, deep = inner / 2.0, shape.number("inner_depth", inner) / 2.0
     hole = _regular(sides, inner) if sides != 4 else _square((-wide, wide), (-deep, deep))
-    return [polygon(around, _moved(matrix, hole))]
+    return around(whole, _moved(matrix, hole))
 
 
 def _gap_sides(shape: Properties, matrix: Floats) -> list[Face]:
