@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.run import processors
+from mcrim_mitsuba.core.run import Run, arguments_of, processors
 from mcrim_mitsuba.efficiency.bench import Bench
-from mcrim_mitsuba.reference.tracer import FateCounts, whole_number
+from mcrim_mitsuba.reference.tracer import TracerResult
 
 _PROCESS = Path(__file__).with_name("geant4_process.py")
 #: Volumes in which the light that ends is counted, and what the other programs call that fate.
@@ -34,7 +34,7 @@ class Geant4Error(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Geant4Result(FateCounts):
+class Geant4Result(TracerResult):
     """Every photon's fate, counted: one of `FATES`, or `ELSEWHERE`."""
 
     #: Wall time of the event loop.
@@ -94,9 +94,8 @@ def trace_geant4(
     Geant4Error
         If Geant4 ends without a result.
     """
-    photons = whole_number("photons", photons, 1)
-    seed = whole_number("seed", seed, 0)
-    threads = whole_number("threads", threads or processors(), 1)
+    photons, seed = arguments_of(photons, seed)
+    threads = Run(threads=threads).threads or processors()
     if not is_installed():
         mend = "install it: pip install 'mcrim-mitsuba[geant4]'"
         raise InputError("Geant4 is not installed", mend)

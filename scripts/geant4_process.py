@@ -111,11 +111,14 @@ class BenchConstruction(g4.G4VUserDetectorConstruction):
 
     def _slab(self, name: str, material, half_width_mm, bottom_mm, top_mm, mother):
         """Place a box that is centred on x = y = 0."""
-        half_height_mm = (top_mm - bottom_mm) / 2.0
-        solid = self._keep(g4.G4Box(name, half_width_mm, half_width_mm, half_height_mm))
+        solid = self._keep(self._solid(name, half_width_mm, (top_mm - bottom_mm) / 2.0))
         volume = self._keep(g4.G4LogicalVolume(solid, material, name))
         self._place(name, volume, (bottom_mm + top_mm) / 2.0, mother)
         return volume
+
+    def _solid(self, name: str, half_width_mm: float, half_height_mm: float):
+        """What is as wide along x as along y."""
+        return g4.G4Box(name, half_width_mm, half_width_mm, half_height_mm)
 
     def _place(self, name: str, volume, z_mm: float, mother):
         """Put the centre of a volume on the axis of its mother."""

@@ -23,10 +23,10 @@ from mcrim_mitsuba.effects.scene_edits import (
     crystal_box,
     element,
     gap_sides,
-    make_panel,
     part_gap,
     polish,
     refuse_without_box,
+    split_panel,
     worn_towards_air,
 )
 from mcrim_mitsuba.scene.editor import INTERFACES, Node, SceneEditor
@@ -300,7 +300,9 @@ GAP_BUBBLE_ROUND = Effect(
 
 _LIQUID = "liquid"
 _WET = "crystal_to_liquid"
-_LEVEL = '<float name="level" value="$collar_mm"/>\n<string name="keep" value="{}"/>\n{}'
+_LEVEL = f"""<float name="level" value="$collar_mm"/>
+<string name="keep" value="{{}}"/>
+{INDEX_OF_PART}"""
 _ROUGH = "roughness_alpha"
 
 
@@ -346,19 +348,12 @@ def _interface(editor: SceneEditor, bottom: Node, side: Node) -> str:
 def _split(editor: SceneEditor, face: Node, wet: str) -> None:
     """Leave the wet part out of a side and make it a face of its own, towards the liquid."""
     name = f"{face.attrib['id']}_wet"
-    editor.refuse_id(name)
-    make_panel(editor, face, _LEVEL.format("above", INDEX_OF_PART))
-    trim, transform = face.named("trim"), face.named("to_world")
-    assert transform is not None  # `crystal_box` found its corners by it
-    parts = [
-        *([editor.source(trim)] if trim is not None else []),
-        *_LEVEL.format("below", INDEX_OF_PART).split("\n"),
-        editor.source(transform),
+    worn = (
         f'<ref id="{wet}"/>',
         f'<ref name="interior" id="{editor.crystal.attrib["id"]}"/>',
         f'<ref name="exterior" id="{_LIQUID}"/>',
-    ]
-    editor.insert_after(face, element(f'shape type="panel" id="{name}"', parts))
+    )
+    split_panel(editor, face, name, _LEVEL, ("above", "below"), worn)
 
 
 GEL_CREEP = Effect(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
 
 from mcrim_mitsuba.core.errors import said_by
-from mcrim_mitsuba.core.numbers import Value, parse_number
+from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.scene.editor import INDICES, Node, SceneEditor
+from mcrim_mitsuba.scene.xml_tree import transform_matrix
 
 #: Of the light in vacuum.
 WAVELENGTH = "wavelength_nm"
@@ -169,8 +169,7 @@ def _faces_of_any_form(editor: SceneEditor, side: str) -> list[Node]:
         if editor.gap in editor.media(face):
             where = "bottom"
         else:
-            transform = resolved[face].find("transform")
-            matrix = np.eye(4) if transform is None else _matrix(transform)
+            matrix = _matrix(resolved[face])
             flat = face.type in (*_FLAT, "disk", "polygon") and matrix is not None
             up = np.cross(matrix[:3, 0], matrix[:3, 1]) if flat and matrix is not None else None
             looks_up = up is not None and up[2] > (1.0 - _TOLERANCE_MM) * np.linalg.norm(up)
@@ -327,20 +326,34 @@ def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
         (bottom, "crystal_bottom_bubble", to_air, editor.crystal),
         (under, "window_under_bubble", window_to_air, editor.window),
     ):
-        editor.refuse_id(name)
-        numbers = [cut, '<string name="keep" value="{}"/>', INDEX_OF_PART]
-        make_panel(editor, face, "\n".join(numbers).format(liquid))
-        trim, transform = face.named("trim"), face.named("to_world")
-        assert transform is not None  # `crystal_box` and `window_under_gap` found its corners by it
-        parts = [
-            *([editor.source(trim)] if trim is not None else []),
-            *(number.format(air) for number in numbers),
-            editor.source(transform),
-            bsdf,
-            f'<ref name="interior" id="{interior.attrib["id"]}"/>',
-        ]
-        xml = element(f'shape type="panel" id="{name}"', parts)
-        editor.insert_after(face, f"<!-- the part of it that lies on the air bubble -->\n{xml}")
+        numbers = f'{cut}\n<string name="keep" value="{{}}"/>\n{INDEX_OF_PART}'
+        worn = bsdf, f'<ref name="interior" id="{interior.attrib["id"]}"/>'
+        comment = "<!-- the part of it that lies on the air bubble -->\n"
+        split_panel(editor, face, name, numbers, (liquid, air), worn, comment)
+
+
+def split_panel(
+    editor: SceneEditor,
+    face: Node,
+    name: str,
+    numbers: str,
+    kept: tuple[str, str],
+    worn: Iterable[str],
+    comment: str = "",
+) -> None:
+    """Leave a part out of a rectangle, and make it a face of its own after it.
+
+    `numbers` of a ``panel`` tell where, with ``{}`` for which part each of the two keeps; the new
+    one wears and borders what is `worn`.
+    """
+    editor.refuse_id(name)
+    make_panel(editor, face, numbers.format(kept[0]))
+    trim, transform = face.named("trim"), face.named("to_world")
+    assert transform is not None  # the face was found by it
+    parts = [numbers.format(kept[1]), editor.source(transform), *worn]
+    parts = parts if trim is None else [editor.source(trim), *parts]
+    xml = element(f'shape type="panel" id="{name}"', parts)
+    editor.insert_after(face, comment + xml)
 
 
 def worn_towards_air(editor: SceneEditor, shapes: list[Node], what: str) -> str:
@@ -427,49 +440,18 @@ def _own_x_is_right(editor: SceneEditor, node: Node) -> bool:
 
 def _corners(shape: Node) -> np.ndarray | None:
     """Corners (4, 3) of a rectangle, mm, against the clock seen from its front."""
-    transform = shape.find("transform")
-    matrix = np.eye(4) if transform is None else _matrix(transform)
+    matrix = _matrix(shape)
     if matrix is None:
         return None
     corners = np.array([(-1, -1, 0, 1), (1, -1, 0, 1), (1, 1, 0, 1), (-1, 1, 0, 1)], dtype=float)
     return (corners @ matrix.T)[:, :3]
 
 
-def _matrix(transform: Node) -> np.ndarray | None:
-    """4 x 4 matrix of translations, scalings and rotations; None if there is more in it."""
-    total = np.eye(4)
+def _matrix(shape: Node) -> np.ndarray | None:
+    """A shape's ``to_world``, (4, 4); None if that is of another kind, or not finite."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            for step in transform:
-                attributes = {str(name): str(value) for name, value in step.items()}
-                total = _step(str(step.tag), attributes) @ total
-    except (KeyError, ValueError):
+            matrix = transform_matrix(shape.named("to_world"))
+    except ValueError:
         return None
-    return total if np.isfinite(total).all() else None
-
-
-def _step(tag: str, attributes: Mapping[str, str]) -> np.ndarray:
-    """Matrix of one step of a transform; ValueError if it is of another kind or has no numbers."""
-
-    def numbers(default: str) -> list[float]:
-        return [parse_number(axis, attributes.get(axis, default)) for axis in "xyz"]
-
-    matrix = np.eye(4)
-    if tag == "scale":
-        matrix[:3, :3] = np.diag(numbers(attributes.get("value", "1")))
-    elif tag == "translate" and "value" not in attributes:
-        matrix[:3, 3] = numbers("0")
-    elif tag == "rotate" and "value" not in attributes and any(axis := numbers("0")):
-        angle = parse_number("angle", attributes["angle"])
-        matrix[:3, :3] = _rotation(np.array(axis) / np.linalg.norm(axis), angle)
-    else:
-        raise ValueError(tag)
-    return matrix
-
-
-def _rotation(axis: np.ndarray, degrees: float) -> np.ndarray:
-    """Rodrigues' formula."""
-    x, y, z = axis
-    cross = np.array([(0, -z, y), (z, 0, -x), (-y, x, 0)])
-    angle = math.radians(degrees)
-    return np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+    return matrix if np.isfinite(matrix).all() else None

@@ -12,19 +12,8 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mcrim_mitsuba.reference import walk
 from mcrim_mitsuba.reference.interface import film_waves, square
-from mcrim_mitsuba.reference.walk import (
-    BIRTH_FIELDS,
-    DETECTOR,
-    DIELECTRIC,
-    FACE_FIELDS,
-    FLAT,
-    OUTSIDE,
-    ROUND,
-    SURFACE_FIELDS,
-    VOLUME_FIELDS,
-    Tables,
-)
 
 Floats = NDArray[np.float64]
 #: (4,): u and m of the half space u . x <= m.
@@ -33,14 +22,12 @@ HalfSpace = Floats
 
 @dataclass(frozen=True, eq=False)
 class Face:
-    """A convex flat face, perhaps with a hole, or a mantle or sphere; arrays are float64, mm."""
+    """A convex flat face, perhaps with a round hole, or a mantle or sphere; arrays in mm."""
 
     #: (4,): unit normal, towards what is in front, and its product with a point; None if round.
     plane: Floats | None
     _: KW_ONLY
     bounds: Sequence[HalfSpace] = ()
-    #: What is missing is where all of these hold.
-    hole: Sequence[HalfSpace] = ()
     #: (3, 4): A and c of ``|A (x - c)| = 1``, columns first.
     quadric: Floats | None = None
     #: Of a flat face +1 if it is what lies within the quadric, -1 if it is what lies around; of
@@ -66,19 +53,21 @@ def half_space(direction: ArrayLike, point: ArrayLike) -> HalfSpace:
     return np.append(u, u @ np.asarray(point, float))
 
 
-def polygon(corners: ArrayLike, hole: ArrayLike | None = None) -> Face:
-    """A convex polygon, by its corners, (n, 3), anticlockwise seen from the front; with a hole."""
+def polygon(corners: ArrayLike) -> Face:
+    """A convex polygon, by its corners, (n, 3), anticlockwise seen from the front."""
     corners = np.asarray(corners, float)
-    following = np.roll(corners, -1, axis=0)
-    across = np.cross(corners - corners[0], following - corners[0]).sum(axis=0)
+    ends = np.roll(corners, -1, axis=0)
+    across = np.cross(corners - corners[0], ends - corners[0]).sum(axis=0)
     plane = half_space(across, corners[0])
-    inside = []
-    for around in (corners, None if hole is None else np.asarray(hole, float)):
-        ends = () if around is None else zip(around, np.roll(around, -1, axis=0), strict=True)
-        spaces = [half_space(np.cross(end - start, plane[:3]), start) for start, end in ends]
-        inside.append(spaces)
-    box = np.array([corners.min(axis=0), corners.max(axis=0)])
-    return Face(plane, bounds=inside[0], hole=inside[1], box=box)
+    pairs = zip(corners, ends, strict=True)
+    bounds = [half_space(np.cross(end - start, plane[:3]), start) for start, end in pairs]
+    return Face(plane, bounds=bounds, box=np.array([corners.min(axis=0), corners.max(axis=0)]))
+
+
+def around(face: Face, hole: ArrayLike) -> list[Face]:
+    """What is left of a polygon around another in its plane: a face at each edge of the hole."""
+    edges = polygon(hole).bounds
+    return [replace(face, bounds=[*face.bounds, -edge, *edges[:i]]) for i, edge in enumerate(edges)]
 
 
 def ellipse(centre: ArrayLike, u: ArrayLike, v: ArrayLike) -> Face:
@@ -160,7 +149,7 @@ class FacedBench:
 
     def number(self, name: str) -> int:
         """Of the volume of this name, or outside."""
-        return self.volume_names.index(name) if name else OUTSIDE
+        return self.volume_names.index(name) if name else walk.OUTSIDE
 
     def box(self, name: str) -> Floats:
         """Lowest and highest coordinates, (2, 3), of a volume: of the faces that border it."""
@@ -171,7 +160,9 @@ class FacedBench:
     def detectors(self) -> dict[int, str]:
         """Ids of the detectors by the numbers of their surfaces."""
         kinds = enumerate(self.surfaces)
-        return {i: s.name for i, s in kinds if s.optics.get("kind", DIELECTRIC) == DETECTOR}
+        return {
+            i: s.name for i, s in kinds if s.optics.get("kind", walk.DIELECTRIC) == walk.DETECTOR
+        }
 
     @property
     def head_on(self) -> float:
@@ -186,28 +177,30 @@ class FacedBench:
             part *= 1.0 - square(r_s) - t_s
         return part
 
-    def tables(self) -> tuple[Tables, NDArray]:
+    def tables(self) -> tuple[walk.Tables, NDArray]:
         """What the walk takes: the bench, and where light is born, (1,) of `walk.BIRTH_FIELDS`."""
         faces = [(number, face) for number, s in enumerate(self.surfaces) for face in s.faces]
         surfaces = self._surfaces()
         volumes = self._volumes(surfaces)
         names = [surface.name for surface in self.surfaces]
-        rows, spaces = np.zeros(len(faces), FACE_FIELDS), list[HalfSpace]()
+        rows, spaces = np.zeros(len(faces), walk.FACE_FIELDS), list[HalfSpace]()
         quadrics = np.zeros((len(faces), 12))
         for row, quadric, (number, face) in zip(rows, quadrics, faces, strict=True):
-            row["form"], row["circle"] = FLAT if face.plane is not None else ROUND, face.circle
+            row["form"], row["circle"] = (
+                walk.FLAT if face.plane is not None else walk.ROUND,
+                face.circle,
+            )
             if face.plane is not None:
                 row["x"], row["y"], row["z"], row["level"] = face.plane
             if face.quadric is not None:
                 quadric[:] = (*face.quadric[:, :3].ravel(), *face.quadric[:, 3])
-            begin = len(spaces), len(spaces) + len(face.bounds)
-            spaces += [*face.bounds, *face.hole]
-            row["bounds"], row["hole"], row["end"] = *begin, len(spaces)
-            row["surface"] = number
+            row["surface"], row["begin"] = number, len(spaces)
+            spaces += face.bounds
+            row["end"] = len(spaces)
             row["wrapping"] = names.index(face.wrapping) if face.wrapping else -1
         sides = surfaces[rows["surface"]]
         bordering = [self._bordering(v, volumes, sides) for v in range(len(volumes))]
-        tables = Tables(
+        tables = walk.Tables(
             faces=rows,
             quadrics=quadrics,
             half_spaces=np.array(spaces, float).reshape(-1, 4),
@@ -217,7 +210,7 @@ class FacedBench:
             bordering=np.array([face for pairs in bordering for face, _ in pairs]),
             side=np.array([side for pairs in bordering for _, side in pairs]),
         )
-        birth = np.zeros(1, BIRTH_FIELDS)
+        birth = np.zeros(1, walk.BIRTH_FIELDS)
         values = {"depth": math.inf, **self.birth, "volume": self.number(self.crystal)}
         for name, value in values.items():
             birth[name] = value
@@ -234,7 +227,7 @@ class FacedBench:
 
     def _surfaces(self) -> NDArray:
         """(surfaces,) of `walk.SURFACE_FIELDS`."""
-        rows = np.zeros(len(self.surfaces), SURFACE_FIELDS)
+        rows = np.zeros(len(self.surfaces), walk.SURFACE_FIELDS)
         rows["mask_radius"] = math.inf
         for row, surface in zip(rows, self.surfaces, strict=True):
             row["interior"], row["exterior"] = map(
@@ -246,14 +239,14 @@ class FacedBench:
 
     def _volumes(self, surfaces: NDArray) -> NDArray:
         """(volumes,) of `walk.VOLUME_FIELDS`."""
-        rows = np.zeros(len(self.volumes) + 1, VOLUME_FIELDS)
-        rows["index"][OUTSIDE] = 1.0
+        rows = np.zeros(len(self.volumes) + 1, walk.VOLUME_FIELDS)
+        rows["index"][walk.OUTSIDE] = 1.0
         for number, (name, values) in enumerate(self.volumes.items(), start=1):
             for key, value in values.items():
                 rows[key][number] = value
             low, high = self.box(name)
             rows["low"][number], rows["high"][number] = low[2], high[2]
-        interfaces = surfaces[surfaces["kind"] == DIELECTRIC]
+        interfaces = surfaces[surfaces["kind"] == walk.DIELECTRIC]
         for side in ("interior", "exterior"):
             rows["index"][interfaces[side]] = interfaces[f"n_{side}"]
         return rows
@@ -262,9 +255,9 @@ class FacedBench:
     def _bordering(volume: int, volumes: NDArray, sides: NDArray) -> list[tuple[int, int]]:
         """Faces that light in a volume meets, and on which side of them it is."""
         here = {volume}
-        if volume == OUTSIDE or volumes["endless"][volume]:
+        if volume == walk.OUTSIDE or volumes["endless"][volume]:
             # an endless volume is where the outside is
-            here |= {OUTSIDE, *np.flatnonzero(volumes["endless"]).tolist()}
+            here |= {walk.OUTSIDE, *np.flatnonzero(volumes["endless"]).tolist()}
         pairs = []
         for face, row in enumerate(sides):
             behind, in_front = row["interior"] in here, row["exterior"] in here

@@ -19,6 +19,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.faces import (
     Face,
     Floats,
+    around,
     ellipse,
     ellipsoid,
     half_space,
@@ -28,7 +29,7 @@ from mcrim_mitsuba.reference.faces import (
 )
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.scene.xml_tree import Node
+from mcrim_mitsuba.scene.xml_tree import Node, three_numbers, transform_matrix
 
 #: What is narrower than this part of the whole is not there.
 _NARROWEST = 1e-6
@@ -78,48 +79,19 @@ class Properties:
     def point(self, name: str, default: Sequence[float] = (0.0, 0.0, 0.0)) -> Floats:
         """A point or vector."""
         found = self.node.named(name)
-        return np.array(default if found is None else triple(found, 0.0), float)
+        return np.array(default if found is None else three_numbers(found, 0.0), float)
 
     def is_filled(self) -> bool:
         """Whether the shape's ``index``, where it has one, is more than that of air."""
         return "index" not in self or is_filled(self.number("index"))
 
 
-def triple(node: Node, default: float) -> list[float]:
-    """Three numbers of an element: ``x``, ``y`` and ``z``, or ``value``, one or three."""
-    written = [float(part) for part in node.get("value", "").replace(",", " ").split()]
-    if written:
-        return written * 3 if len(written) == 1 else written
-    return [float(node.get(axis, default)) for axis in "xyz"]
-
-
 def to_world(shape: Properties) -> Floats:
-    """Matrix, (4, 4), of a shape's transform: its parts one after the other."""
-    whole, transform = np.eye(4), shape.node.named("to_world")
-    for part in () if transform is None else transform.elements:
-        whole = _step(shape, part) @ whole
-    return whole
-
-
-def _step(shape: Properties, part: Node) -> Floats:
-    matrix = np.eye(4)
-    if part.tag == "translate":
-        matrix[:3, 3] = triple(part, 0.0)
-    elif part.tag == "scale":
-        matrix[:3, :3] = np.diag(triple(part, 1.0))
-    elif part.tag == "rotate":
-        # Rodrigues' formula
-        x, y, z = triple(part, 0.0)
-        turn, angle = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), float(part.get("angle", ""))
-        sine, cosine = math.sin(math.radians(angle)), math.cos(math.radians(angle))
-        matrix[:3, :3] += sine * turn + (1.0 - cosine) * turn @ turn
-    elif part.tag == "matrix":
-        written = [float(n) for n in part.get("value", "").replace(",", " ").split()]
-        size = math.isqrt(len(written))
-        matrix[:size, :size] = np.reshape(written, (size, size))
-    else:
-        raise shape.refusal(f"<{part.tag!s}> of a transform")
-    return matrix
+    """Matrix, (4, 4), of a shape's transform."""
+    try:
+        return transform_matrix(shape.node.named("to_world"))
+    except ValueError as error:
+        raise shape.refusal(str(error)) from None
 
 
 def faces_of(shape: Properties) -> list[Face]:
@@ -283,16 +255,16 @@ def _frame(shape: Properties, matrix: Floats) -> list[Face]:
     """A square with a hole: square, oblong, of several sides or round."""
     outer, sides = shape.number("outer_width"), int(shape.number("sides", 4))
     half, start = outer / 2.0, _cut(shape) * outer / 2.0
-    around = _moved(matrix, _square((start, half), (-half, half)))
+    whole = polygon(_moved(matrix, _square((start, half), (-half, half))))
     if "inner_diameter" in shape:
         ways = (matrix[:3, :2] * shape.number("inner_diameter") / 2.0).T
-        return [with_round_hole(polygon(around), matrix[:3, 3], *ways)]
+        return [with_round_hole(whole, matrix[:3, 3], *ways)]
     inner = outer - 2.0 * shape.number("rim") if "rim" in shape else shape.number("inner_width")
     if outer - inner <= 2.0 * _NARROWEST * outer or half - start <= _NARROWEST * outer:
         return []
     wide, deep = inner / 2.0, shape.number("inner_depth", inner) / 2.0
     hole = _regular(sides, inner) if sides != 4 else _square((-wide, wide), (-deep, deep))
-    return [polygon(around, _moved(matrix, hole))]
+    return around(whole, _moved(matrix, hole))
 
 
 def _gap_sides(shape: Properties, matrix: Floats) -> list[Face]:

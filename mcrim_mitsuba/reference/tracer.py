@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
-import operator
 from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import MM_PER_CM, Value
-from mcrim_mitsuba.core.run import processors
+from mcrim_mitsuba.core.numbers import Value, whole_of
+from mcrim_mitsuba.core.run import arguments_of, processors
 from mcrim_mitsuba.reference import walk
 from mcrim_mitsuba.reference.compiling import say_if_slow
-from mcrim_mitsuba.reference.faces import FacedBench, Floats
+from mcrim_mitsuba.reference.faces import FacedBench
 from mcrim_mitsuba.reference.scene_bench import read_bench
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
@@ -27,50 +23,17 @@ from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 MOST_FLIGHTS = 2000
 #: Photons that a thread follows at a time.
 _BLOCK = 16_384
-_FATES = {
-    walk.DETECTED: "detected",
-    walk.APERTURE: "absorbed_aperture",
-    walk.REFLECTOR: "absorbed_reflector",
-    walk.SURFACE: "absorbed_surface",
-    walk.ESCAPED: "escaped",
-    walk.TRUNCATED: "truncated",
-    walk.LOST: "lost",
-}
-
-
-@dataclass(frozen=True, eq=False)
-class DetectedHistories:
-    """What each detected photon went through, for reweighting.
-
-    A photon's weight under other coefficients is (scat'/scat)^scatterings
-    exp(-(scat' - scat) scattering_path_cm) exp(-(abs' - abs) path_cm): the
-    tracer itself absorbs with abs. And a run whose mask leaves the whole plate
-    free answers every aperture: keep the photons with mask_radius_mm up to its
-    radius.
-    """
-
-    #: (detected,) int32: Number of bulk scatterings.
-    scatterings: NDArray[np.int32]
-    #: (detected,) float64: Path in the crystal.
-    path_cm: Floats
-    #: (detected,) float64: The same, weighted with the scattering's strength relative to that at
-    #: middle height, at the band's maximum; equal to ``path_cm`` where all is even.
-    scattering_path_cm: Floats
-    #: (detected,) float64: Largest distance from the axis at which the photon met the mask's plane,
-    #: from either side: the plate's entrance face or, with ``aperture_at_detector``, its back face.
-    mask_radius_mm: Floats
-    #: (detected,) float64: Cosine of the angle to the detector's normal, in the plate; behind a
-    #: beam, in air.
-    arrival_cosine: Floats
-    #: (detected,) float64: Distance from the axis at which the photon was detected.
-    arrival_radius_mm: Floats
-    #: (detected,) str: Id of the detector.
-    detector: NDArray[np.str_]
 
 
 @dataclass(frozen=True)
-class FateCounts:
-    """How often each fate was met."""
+class TracerResult:
+    """Every photon's fate, counted.
+
+    The fates: detected, absorbed_aperture, absorbed_reflector, absorbed_surface (losses at the
+    crystal's faces and what the detector refuses), escaped, truncated (still on their way after
+    the largest number of flights), lost (numerically astray: an error of ours if it is not 0) and
+    ``absorbed_`` with the name of each volume.
+    """
 
     photons: int
     seed: int
@@ -81,6 +44,12 @@ class FateCounts:
     #: Detected photons by the ids of detectors, and the one that eta is of; empty: of all.
     detectors: dict[str, int] = field(default_factory=dict, kw_only=True)
     read: str = field(default="", kw_only=True)
+    #: Of each detected photon, in the fields of `walk.HISTORY`: for reweighting. Its weight under
+    #: other coefficients is (scat'/scat)^scatterings exp(-(scat' - scat) scattering_path_cm)
+    #: exp(-(abs' - abs) path_cm): the tracer itself absorbs with abs. And a run whose mask leaves
+    #: the whole plate free answers every aperture: keep the photons with mask_radius_mm up to its
+    #: radius. None unless asked for. Results are compared without them.
+    histories: np.recarray | None = field(default=None, compare=False, kw_only=True)
 
     @property
     def budget(self) -> dict[str, float]:
@@ -116,30 +85,6 @@ class FateCounts:
         return self._sigma(self._counted) / self.head_on
 
 
-@dataclass(frozen=True)
-class TracerResult(FateCounts):
-    """Every photon's fate, counted.
-
-    The fates: detected, absorbed_aperture, absorbed_reflector, absorbed_surface (losses at the
-    crystal's faces and what the detector refuses), escaped, truncated (still on their way after
-    the largest number of flights), lost (numerically astray: an error of ours if it is not 0) and
-    ``absorbed_`` with the name of each volume.
-    """
-
-    #: None unless asked for. Results are compared without them.
-    histories: DetectedHistories | None = field(default=None, compare=False)
-
-
-def whole_number(name: str, value: Any, lowest: int) -> int:
-    """`value` as an int of at least `lowest`; InputError if it is none."""
-    with contextlib.suppress(TypeError):
-        if not isinstance(value, bool) and operator.index(value) >= lowest:
-            return operator.index(value)
-    raise InputError(
-        f"{name} = {value!r} cannot be used", f"give a whole number, at least {lowest}"
-    )
-
-
 def trace(
     bench: str | Path | SceneFile | FacedBench,
     photons: int,
@@ -157,76 +102,55 @@ def trace(
     same seed gives the same fates whatever the threads (all processors, if not given): each photon
     has a generator of its own. After `max_depth` straight flights (what the scene says, else 2000)
     a photon counts as truncated: light that total reflection traps in a clear crystal ends so.
-    `histories`, what the detected ones went through, take 60 bytes each. `progress` is called now
+    `histories`, what the detected ones went through, take 64 bytes each. `progress` is called now
     and then with the number of photons done, at last with `photons`.
 
     Raises InputError if the tracer does not know a part of the scene, which it names, or one of the
     whole numbers is none, or too small.
     """
-    photons, seed = whole_number("photons", photons, 1), whole_number("seed", seed, 0)
+    photons, seed = arguments_of(photons, seed)
     if not isinstance(bench, FacedBench):
         bench = read_bench(read_scene(bench, overrides))
     if max_depth is None:
         max_depth = bench.most_flights or MOST_FLIGHTS
-    max_depth = whole_number("max_depth", max_depth, 1)
+    max_depth = whole_of("max_depth", max_depth, "give a whole number, at least 1", 1)
     say_if_slow()
     tables, birth = bench.tables()
     root = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
 
-    def walked(first: int, count: int) -> tuple[NDArray[np.int64], Floats]:
-        """Fates and records of so many photons from one on."""
-        fates, records = np.empty(count, np.int64), np.empty((count, walk.RECORDED))
+    def block(first: int) -> NDArray:
+        """Histories of photons from one on."""
+        records = np.zeros(max(0, min(_BLOCK, photons - first)), walk.HISTORY)
         # the generator's words overflow, as they shall
         with np.errstate(over="ignore"):
             rng, number = np.empty(1, np.uint64), np.uint64(first)
-            walk.follow(
-                tables, birth, rng, root, number, max_depth, bench.polarised, fates, records
-            )
-        return fates, records
-
-    def block(first: int) -> tuple[Counter[int], Counter[int], Floats]:
-        """Fates, detections by surface, and records of the detected, of photons from one on."""
-        fates, records = walked(first, min(_BLOCK, photons - first))
-        detected = records[fates == walk.DETECTED]
-        places = Counter(detected[:, walk.PLACE].astype(int).tolist())
-        return Counter(fates.tolist()), places, detected if histories else detected[:0]
+            walk.follow(tables, birth, rng, root, number, max_depth, bench.polarised, records)
+        return records
 
     # numba compiles here, of no photons: several threads at it stumble over each other
-    walked(0, 0)
-    fates, places, records, done = Counter[int](), Counter[int](), [], 0
+    block(photons)
+    fates, places, kept, done = Counter[int](), Counter[int](), [], 0
     pool = ThreadPoolExecutor(threads or processors())
     try:
-        for own_fates, own_places, detected in pool.map(block, range(0, photons, _BLOCK)):
-            fates += own_fates
-            places += own_places
-            records.append(detected)
-            done += sum(own_fates.values())
+        for records in pool.map(block, range(0, photons, _BLOCK)):
+            detected = records[records["fate"] == walk.DETECTED]
+            fates.update(records["fate"].tolist())
+            places.update(detected["surface"].tolist())
+            kept.append(detected if histories else detected[:0])
+            done += len(records)
             if progress is not None:
                 progress(done)
     finally:
         pool.shutdown(cancel_futures=True)
-    counts = {name: fates[fate] for fate, name in _FATES.items()}
+    counts = {name: fates[fate] for fate, name in enumerate(walk.FATES)}
     for number, volume in enumerate(bench.volume_names[1:], start=1):
         counts[f"absorbed_{volume}"] = fates[walk.ABSORBED + number]
     return TracerResult(
         photons,
         seed,
         counts,
-        _histories(np.concatenate(records), bench.detectors) if histories else None,
         head_on=bench.head_on,
         detectors={name: places[number] for number, name in bench.detectors.items()},
         read=bench.read,
-    )
-
-
-def _histories(records: Floats, detectors: dict[int, str]) -> DetectedHistories:
-    """Of rows of records."""
-    return DetectedHistories(
-        scatterings=records[:, walk.SCATTERINGS].astype(np.int32),
-        path_cm=records[:, walk.PATH] / MM_PER_CM,
-        scattering_path_cm=records[:, walk.SCATTERING_PATH] / MM_PER_CM,
-        mask_radius_mm=records[:, walk.MASK_RADIUS],
-        arrival_cosine=records[:, walk.COSINE],
-        arrival_radius_mm=records[:, walk.RADIUS],
-        detector=np.array([detectors[int(n)] for n in records[:, walk.PLACE]], dtype=np.str_),
+        histories=np.concatenate(kept).view(np.recarray) if histories else None,
     )

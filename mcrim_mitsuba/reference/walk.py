@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.reference.compiling import compiled
 from mcrim_mitsuba.reference.interface import (
     about,
@@ -44,6 +45,11 @@ TRUNCATED = 5
 LOST = 6
 ABSORBED = 7
 _ALIVE = -1
+#: Their names.
+FATES = (
+    *("detected", "absorbed_aperture", "absorbed_reflector", "absorbed_surface"),
+    *("escaped", "truncated", "lost"),
+)
 #: What light meets at a surface.
 DIELECTRIC = 0
 DETECTOR = 1
@@ -54,15 +60,6 @@ FLAT = 0
 ROUND = 1
 #: The volume that is around everything.
 OUTSIDE = 0
-#: Columns of `follow`'s records, one row a photon; lengths in mm.
-SCATTERINGS = 0
-PATH = 1
-SCATTERING_PATH = 2
-MASK_RADIUS = 3
-COSINE = 4
-RADIUS = 5
-PLACE = 6
-RECORDED = 7
 #: How far, in mm, rounding may put light beyond a face that it has not met yet.
 _BEYOND_MM = 1e-9
 #: How far off its edges, in mm, a face is still met: no light slips through between two.
@@ -99,7 +96,16 @@ BIRTH_FIELDS = _fields("volume axis from_high", "x0 y0 z0 x1 y1 z1 depth beam_ra
 #: of a round one, or of a hole (`circle` -1) in a flat one, or of what is left of it (+1); of round
 #: ones +1 if normals point outwards. Rows of `Tables.half_spaces`, of `surfaces`, and of the latter
 #: for the wrapping that touches it, or -1.
-FACE_FIELDS = _fields("form circle bounds hole end surface wrapping", "x y z level")
+FACE_FIELDS = _fields("form circle begin end surface wrapping", "x y z level")
+#: What a photon went through: scatterings in the crystal, the path there, and that weighted with
+#: the scattering's strength over that at middle height, at the band's maximum (equal where all is
+#: even); the largest distance from the axis at which it met the mask's plane, from either side; of
+#: its arrival at a detector the surface, the cosine to the normal (in the plate; behind a beam in
+#: air), and the distance from the axis.
+HISTORY = _fields(
+    "fate scatterings surface",
+    "path_cm scattering_path_cm mask_radius_mm arrival_cosine arrival_radius_mm",
+)
 
 
 class Tables(NamedTuple):
@@ -109,8 +115,7 @@ class Tables(NamedTuple):
     faces: NDArray
     #: (faces, 12): A, row by row, and c of the quadric ``|A (x - c)| = 1``.
     quadrics: NDArray[np.float64]
-    #: (half spaces, 4): unit vector u and number m; a face is where u . x <= m of all its bounds,
-    #: but not where that is so of all that its hole has.
+    #: (half spaces, 4): unit vector u and number m; a face is where u . x <= m of all its bounds.
     half_spaces: NDArray[np.float64]
     #: (surfaces,) of `SURFACE_FIELDS`.
     surfaces: NDArray
@@ -127,37 +132,24 @@ class Tables(NamedTuple):
 
 
 @compiled
-def _bounded(faces, quadrics, half_spaces, number, point):
+def _bounded(tables, number, point):
     """Whether a point of a face's plane or quadric is on the face."""
-    face = faces[number]
-    for k in range(face["bounds"], face["hole"]):
-        if _beyond(half_spaces, k, point) > _OVERLAP_MM:
-            return False
-    if face["hole"] < face["end"]:
-        in_hole = True
-        for k in range(face["hole"], face["end"]):
-            in_hole = in_hole and _beyond(half_spaces, k, point) < -_OVERLAP_MM
-        if in_hole:
+    face, spaces = tables.faces[number], tables.half_spaces
+    for k in range(face["begin"], face["end"]):
+        u = (spaces[k, 0], spaces[k, 1], spaces[k, 2])
+        if dot(u, point) - spaces[k, 3] > _OVERLAP_MM:
             return False
     if face["form"] == FLAT and face["circle"] != 0:
-        w = _in_quadric(quadrics, number, point, 1.0)
+        w = _in_quadric(tables, number, point, 1.0)
         return (dot(w, w) - 1.0) * face["circle"] <= _OVERLAP_MM
     return True
 
 
 @compiled
-def _beyond(half_spaces, k, point):
-    """How far a point lies beyond a half space."""
-    x, y, z = half_spaces[k, 0], half_spaces[k, 1], half_spaces[k, 2]
-    return x * point[0] + y * point[1] + z * point[2] - half_spaces[k, 3]
-
-
-@compiled
-def _in_quadric(q, k, vector, moved):
+def _in_quadric(tables, number, vector, moved):
     """A (x - c) of a point, or A x of a direction where `moved` is 0."""
-    x = vector[0] - moved * q[k, 9]
-    y = vector[1] - moved * q[k, 10]
-    z = vector[2] - moved * q[k, 11]
+    q, k = tables.quadrics, number
+    x, y, z = plus(vector, -moved, (q[k, 9], q[k, 10], q[k, 11]))
     return (
         q[k, 0] * x + q[k, 1] * y + q[k, 2] * z,
         q[k, 3] * x + q[k, 4] * y + q[k, 5] * z,
@@ -166,26 +158,24 @@ def _in_quadric(q, k, vector, moved):
 
 
 @compiled
-def _distance(faces, quadrics, half_spaces, number, position, direction, side, on_it, limit):
+def _distance(tables, number, position, direction, side, on_it, limit):
     """Distance, mm, to where light meets a face; `limit` where it does not, or not before that.
 
     `side` is +1 where it comes from behind the face, -1 from in front of it, 0 from either; it may
     have its last event `on_it`.
     """
-    face = faces[number]
+    face = tables.faces[number]
     if face["form"] == FLAT:
         normal = (face["x"], face["y"], face["z"])
         speed = dot(normal, direction)
         if side * speed < 0.0 or speed == 0.0 or (side == 0 and on_it):
             return limit
         t = (face["level"] - dot(normal, position)) / speed
-        if -_BEYOND_MM < t < limit:
-            point = plus(position, t, direction)
-            if _bounded(faces, quadrics, half_spaces, number, point):
-                return max(t, 0.0)
+        if -_BEYOND_MM < t < limit and _bounded(tables, number, plus(position, t, direction)):
+            return max(t, 0.0)
         return limit
-    w = _in_quadric(quadrics, number, position, 1.0)
-    v = _in_quadric(quadrics, number, direction, 0.0)
+    w = _in_quadric(tables, number, position, 1.0)
+    v = _in_quadric(tables, number, direction, 0.0)
     a, b, c = dot(v, v), dot(w, v), dot(w, w) - 1.0
     if on_it:
         c = 0.0
@@ -199,23 +189,18 @@ def _distance(faces, quadrics, half_spaces, number, position, direction, side, o
         if sign * within < 0 or (sign < 0 and within < 0 and on_it):
             continue
         t = (sign * root - b) / a
-        if least < t < limit:
-            point = plus(position, t, direction)
-            if _bounded(faces, quadrics, half_spaces, number, point):
-                return max(t, 0.0)
+        if least < t < limit and _bounded(tables, number, plus(position, t, direction)):
+            return max(t, 0.0)
     return limit
 
 
 @compiled
 def _nearest(tables, volume, position, direction, last):
-    """The face that light in a volume meets first, or -1, and how far it is, mm."""
+    """How far the face is that light in a volume meets first, mm, and which it is, or -1."""
     nearest, face = math.inf, -1
-    faces, quadrics, half_spaces, _, _, first, bordering, side = tables
-    for k in range(first[volume], first[volume + 1]):
-        i = bordering[k]
-        t = _distance(
-            faces, quadrics, half_spaces, i, position, direction, side[k], i == last, nearest
-        )
+    for k in range(tables.first[volume], tables.first[volume + 1]):
+        i, side = tables.bordering[k], tables.side[k]
+        t = _distance(tables, i, position, direction, side, i == last, nearest)
         if t < nearest:
             nearest, face = t, i
     return nearest, face
@@ -225,29 +210,25 @@ def _nearest(tables, volume, position, direction, last):
 def _encloses(tables, volume, point):
     """Whether a point lies in a volume: by how often a line from it leaves and enters it."""
     direction, count = (0.2672612, 0.5345225, 0.8017837), 0
-    faces, quadrics, half_spaces, _, _, first, bordering, sides = tables
-    for k in range(first[volume], first[volume + 1]):
-        for side in (sides[k], -sides[k]):
-            t = _distance(
-                faces, quadrics, half_spaces, bordering[k], point, direction, side, False, math.inf
-            )
-            if t < math.inf:
-                count += side * sides[k]
+    for k in range(tables.first[volume], tables.first[volume + 1]):
+        i, inside = tables.bordering[k], tables.side[k]
+        for side in (inside, -inside):
+            if _distance(tables, i, point, direction, side, False, math.inf) < math.inf:
+                count += side * inside
     return count > 0
 
 
 @compiled
 def _normal(tables, number, point):
     """Unit normal of a face at a point of it."""
-    face = tables.faces[number]
+    face, q, k = tables.faces[number], tables.quadrics, number
     if face["form"] == FLAT:
         return face["x"], face["y"], face["z"]
-    q = tables.quadrics
-    w = _in_quadric(q, number, point, 1.0)
+    w = _in_quadric(tables, number, point, 1.0)
     outwards = (
-        q[number, 0] * w[0] + q[number, 3] * w[1] + q[number, 6] * w[2],
-        q[number, 1] * w[0] + q[number, 4] * w[1] + q[number, 7] * w[2],
-        q[number, 2] * w[0] + q[number, 5] * w[1] + q[number, 8] * w[2],
+        q[k, 0] * w[0] + q[k, 3] * w[1] + q[k, 6] * w[2],
+        q[k, 1] * w[0] + q[k, 4] * w[1] + q[k, 7] * w[2],
+        q[k, 2] * w[0] + q[k, 5] * w[1] + q[k, 8] * w[2],
     )
     return times(float(face["circle"]), unit(outwards))
 
@@ -412,14 +393,13 @@ def _arrival_radius(birth, position, radius):
 
 @compiled
 def _walk(tables, birth, rng, most_flights, polarised, record):
-    """Follow a photon to its fate; what it went through is written into a row of records."""
+    """Follow a photon to its fate; what it goes through is added to a `HISTORY` of zeros."""
     position, direction = _birth(tables, birth, rng)
     crystal, field = birth["volume"], (0j, 0j, 0j)
     volume = crystal if birth["beam_radius"] == 0.0 else OUTSIDE
     if polarised:
         field = random_polarisation(rng, direction)
     strength = _strength_of_birth(tables.volumes[crystal], rng)
-    record[:] = 0.0
     last, flights = -1, 0
     while flights < most_flights:
         medium = tables.volumes[volume]
@@ -432,8 +412,8 @@ def _walk(tables, birth, rng, most_flights, polarised, record):
         flight = min(free_path, distance)
         if volume == crystal:
             middle = _strength_at(medium, plus(position, 0.5 * flight, direction))
-            record[PATH] += flight
-            record[SCATTERING_PATH] += flight * strength * middle
+            record["path_cm"] += flight / MM_PER_CM
+            record["scattering_path_cm"] += flight / MM_PER_CM * strength * middle
         position = plus(position, flight, direction)
         if free_path < distance:
             choice = uniform(rng) * most - medium["absorption"]
@@ -442,7 +422,7 @@ def _walk(tables, birth, rng, most_flights, polarised, record):
             # with a gradient, most collisions of the strongest scattering are none
             if choice < scattering * _strength_at(medium, position):
                 flights += 1
-                record[SCATTERINGS] += volume == crystal
+                record["scatterings"] += volume == crystal
                 cosine = scattered_cosine(rng, medium["rayleigh"] > 0, medium["g"])
                 direction = about(rng, direction, cosine)
                 field, last = depolarised(rng, field, direction), -1
@@ -454,15 +434,15 @@ def _walk(tables, birth, rng, most_flights, polarised, record):
         facing = times(-1.0, axis) if leaving else axis
         radius = math.hypot(position[0] - surface["axis_x"], position[1] - surface["axis_y"])
         if surface["mask_radius"] < math.inf:
-            record[MASK_RADIUS] = max(record[MASK_RADIUS], radius)
+            record["mask_radius_mm"] = max(record["mask_radius_mm"], radius)
         if radius > surface["mask_radius"]:
             if direction[2] >= 0.0 or uniform(rng) >= surface["mask_reflectance"]:
                 return APERTURE
             direction = lambertian(rng, facing)
             field = depolarised(rng, field, direction)
         elif surface["kind"] == DETECTOR:
-            record[COSINE], record[PLACE] = abs(dot(direction, axis)), number
-            record[RADIUS] = _arrival_radius(birth, position, radius)
+            record["surface"], record["arrival_cosine"] = number, abs(dot(direction, axis))
+            record["arrival_radius_mm"] = _arrival_radius(birth, position, radius)
             fate, direction, field = _detector(rng, surface, radius, direction, facing, field)
         elif surface["kind"] >= REFLECTS:
             if leaving and surface["two_sided"] == 0:
@@ -492,8 +472,9 @@ def _walk(tables, birth, rng, most_flights, polarised, record):
 
 
 @compiled
-def follow(tables, birth, rng, seed, number, most_flights, polarised, fates, records):
-    """Follow photons from a `number` on: their fates and their rows of records are written."""
-    for i in range(len(fates)):
+def follow(tables, birth, rng, seed, number, most_flights, polarised, records):
+    """Follow photons from a `number` on: fill a `HISTORY` of zeros for each."""
+    for i in range(len(records)):
         seed_photon(rng, seed, number + np.uint64(i))
-        fates[i] = _walk(tables, birth[0], rng, most_flights, polarised, records[i])
+        fate = _walk(tables, birth[0], rng, most_flights, polarised, records[i])
+        records[i]["fate"] = fate

@@ -20,7 +20,7 @@ from mcrim_mitsuba.core.numbers import (
     parse_number,
 )
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.scene.xml_tree import Node, misled, misspelt
+from mcrim_mitsuba.scene.xml_tree import Node, misled, misspelt, three_numbers
 
 #: Index of refraction above which a volume holds a liquid or a solid.
 FILLED_ABOVE = 1.0005
@@ -220,8 +220,7 @@ def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
     """Rotations whose axis is not a unit vector: Mitsuba shears and scales with them."""
     problems = []
     for element in file.root.iter("rotate"):
-        written = element.get("value", "").replace(",", " ").split()
-        axis = [float(number) for number in written or (element.get(n, "0") for n in "xyz")]
+        axis = three_numbers(element, 0.0)
         length = math.hypot(*axis)
         if abs(length - 1.0) > 1e-4:
             unit = [value / length for value in axis] if length else [0.0, 0.0, 1.0]

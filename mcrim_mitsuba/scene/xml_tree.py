@@ -9,11 +9,13 @@ from __future__ import annotations
 import codecs
 import copy
 import functools
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from lxml import etree
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
@@ -254,6 +256,44 @@ class SceneParts:
         """The bsdfs that a shape, or a bsdf, wears, those within them too."""
         worn = self.targets(node, "bsdf")
         return [bsdf for outer in worn for bsdf in (outer, *self.worn_by(outer))]
+
+
+# Numbers of elements.
+
+
+def three_numbers(element: Node, default: float) -> list[float]:
+    """``x``, ``y`` and ``z`` of an element, or its ``value``, of one number or three."""
+    written = [float(part) for part in element.get("value", "").replace(",", " ").split()]
+    if written:
+        return written * 3 if len(written) == 1 else written
+    return [float(element.get(axis, default)) for axis in "xyz"]
+
+
+def transform_matrix(transform: Node | None) -> np.ndarray:
+    """Matrix, float64 (4, 4), of what a ``<transform>`` does, or of none, step after step.
+
+    Raises ValueError if a step is of a kind that is not known here, or has no such numbers.
+    """
+    whole = np.eye(4)
+    for part in () if transform is None else transform.elements:
+        matrix = np.eye(4)
+        if part.tag == "translate":
+            matrix[:3, 3] = three_numbers(part, 0.0)
+        elif part.tag == "scale":
+            matrix[:3, :3] = np.diag(three_numbers(part, 1.0))
+        elif part.tag == "rotate":
+            # Rodrigues' formula
+            (x, y, z), angle = three_numbers(part, 0.0), math.radians(float(part.get("angle", "")))
+            turn = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            matrix[:3, :3] += math.sin(angle) * turn + (1.0 - math.cos(angle)) * turn @ turn
+        elif part.tag == "matrix":
+            written = [float(n) for n in part.get("value", "").replace(",", " ").split()]
+            size = math.isqrt(len(written))
+            matrix[:size, :size] = np.reshape(written, (size, size))
+        else:
+            raise ValueError(f"<{part.tag!s}> of a transform")
+        whole = matrix @ whole
+    return whole
 
 
 # Elements, their attributes, and the plugins that a bench is made of.

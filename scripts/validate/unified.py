@@ -14,6 +14,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +31,10 @@ COEFFICIENTS = {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.001}
 CAP_MM = 1e-3
 
 
-def in_geant4(script: str, photons: int, **job: Any) -> float:
-    """Part detected where a script does its `work`, in a process of its own.
+def in_geant4(script: str, photons: int, **job: Any) -> tuple[float, float]:
+    """Part detected, and photons per second of a processor, where a script does its `work`.
 
-    Geant4 can be initialised once in each.
+    That is in a process of its own: Geant4 can be initialised once in each.
     """
     with tempfile.TemporaryDirectory() as folder:
         # light needs none of Geant4's data, but without this file it does not start
@@ -46,18 +47,21 @@ def in_geant4(script: str, photons: int, **job: Any) -> float:
             check=True,
             env=os.environ | data,
         )
-    return json.loads(done.stdout.splitlines()[-1])["detected"] / photons
+    found = json.loads(done.stdout.splitlines()[-1])
+    return found["detected"] / photons, photons / found["seconds"]
 
 
-def trace_and_end(bench: Bench, photons: int) -> None:
-    """Trace in Geant4, print how many are detected, and end the process."""
+def trace_and_end(bench: Bench, photons: int, depolarize: bool = True) -> None:
+    """Trace in Geant4, print how many are detected and in what time, and end the process."""
     import geant4_process as process
 
     reports = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    run = process.Geant4Run(bench, 1, processors(), True, lambda **_: None)
+    run = process.Geant4Run(bench, 1, processors(), depolarize, lambda **_: None)
+    started = time.process_time()
     detected = run.beam_on(photons)[process.DETECTOR]
-    print(json.dumps({"detected": detected}), file=reports, flush=True)
+    found = {"detected": detected, "seconds": time.process_time() - started}
+    print(json.dumps(found), file=reports, flush=True)
     os._exit(0)
 
 
@@ -114,7 +118,7 @@ def main() -> None:
             for n in (1.0, 1.46)
         ]
         theirs = [
-            in_geant4(__file__, options.photons, sigma_alpha=sigma, n_gap=n) for n in (1.0, 1.46)
+            in_geant4(__file__, options.photons, sigma_alpha=sigma, n_gap=n)[0] for n in (1.0, 1.46)
         ]
         cells = [f"{a:.4f}, {g:.4f}, {a / g:.3f}" for a, g in (theirs, ours)]
         print(f"| {sigma:g} | {alpha:.3f} | {cells[0]} | {cells[1]} |", flush=True)

@@ -131,7 +131,7 @@ def main() -> None:
     for (finish, faces), published in zip(FINISHES.items(), CENTRE, strict=True):
         cells = []
         for model in models:
-            detected = in_geant4(__file__, options.photons, faces=faces, model=model)
+            detected, _ = in_geant4(__file__, options.photons, faces=faces, model=model)
             error = (detected * (1.0 - detected) / options.photons) ** 0.5
             cells.append(f"{detected:.4f} ± {error:.4f}")
         print(f"| {finish} | {published:.4f} | {' | '.join(cells)} |", flush=True)

@@ -364,7 +364,7 @@ def test_a_part_that_is_not_known_is_refused_with_its_place(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("photons", 0), ("photons", 1e6), ("seed", -1), ("max_depth", 0), ("max_depth", True)],
+    [("photons", 0), ("photons", 1e6 + 0.5), ("seed", -1), ("max_depth", 0), ("max_depth", True)],
 )
 def test_trace_refuses_numbers_that_are_not_counts(name, value):
     arguments = {"photons": 10, "seed": 1, name: value}

@@ -13,6 +13,7 @@ from mcrim_mitsuba.reference import walk
 from mcrim_mitsuba.reference.faces import (
     BenchSurface,
     FacedBench,
+    around,
     ellipse,
     mantle,
     polygon,
@@ -24,17 +25,23 @@ AIR, PLATE = 1.0, 1.52
 X, Y, Z = np.eye(3)
 
 
-def flat(axis, front, level, a, b, hole=None):
-    """An upright or lying rectangle: across an axis, `a` and `b` along the two that follow."""
+def corners(axis, front, level, a, b):
+    """Of an upright or lying rectangle: across an axis, `a` and `b` along the two that follow."""
+    points = np.zeros((4, 3))
+    points[:, axis] = level
+    points[:, (axis + 1) % 3] = np.array(a)[[0, 1, 1, 0]]
+    points[:, (axis + 2) % 3] = np.array(b)[[0, 0, 1, 1]]
+    return points[::front]
 
-    def corners(a, b):
-        points = np.zeros((4, 3))
-        points[:, axis] = level
-        points[:, (axis + 1) % 3] = np.array(a)[[0, 1, 1, 0]]
-        points[:, (axis + 2) % 3] = np.array(b)[[0, 0, 1, 1]]
-        return points[::front]
 
-    return polygon(corners(a, b), None if hole is None else corners(*hole))
+def flat(*place):
+    return polygon(corners(*place))
+
+
+def frame(level, half):
+    """The plate's face around a square."""
+    hole = corners(2, 1, level, *((-half, half),) * 2)
+    return around(flat(2, 1, level, (-14, 14), (-14, 14)), hole)
 
 
 def part(name, faces, interior, exterior, n_interior, n_exterior, **optics):
@@ -76,16 +83,14 @@ def box(
 ):
     """The article's bench."""
     half, polish = width / 2.0, polish or {}
-    square, whole = ((-half, half),) * 2, ((-14.0, 14.0),) * 2
+    square = ((-half, half),) * 2
     lid = top or [flat(2, 1, height, *square)]
     return [
         part("lid", lid, "crystal", "", n, AIR, **polish),
         part("foot", foot or [flat(2, -1, 0.0, *square)], "crystal", "gap", n, n_gap, **polish),
         part("sides", walls(half, 0.0, height), "crystal", "", n, AIR, **polish),
         part("rim", walls(half, -gap, 0.0), "gap", "", n_gap, AIR),
-        *plate(
-            [flat(2, 1, -gap, *square)], [flat(2, 1, -gap, *whole, square)], n_gap, gap, **plates
-        ),
+        *plate([flat(2, 1, -gap, *square)], frame(-gap, half), n_gap, gap, **plates),
     ]
 
 
@@ -106,7 +111,6 @@ def bubble(share, n_gap=1.46):
     """Air where x is below the end of a strip."""
     end = 10.0 * share - 5.0
     wet, dry, y = (end, 5.0), (-5.0, end), (-5.0, 5.0)
-    frame = flat(2, 1, -0.05, (-14, 14), (-14, 14), ((-5, 5), (-5, 5)))
     sides = [
         flat(0, 1, 5.0, y, (-0.05, 0.0)),
         flat(0, -1, end, y, (-0.05, 0.0)),
@@ -116,20 +120,22 @@ def bubble(share, n_gap=1.46):
     bench = box(n_gap=n_gap)
     bench[1] = part("foot", [flat(2, -1, 0.0, wet, y)], "crystal", "gap", 2.01, n_gap)
     bench[3] = part("rim", sides, "gap", "", n_gap, AIR)
-    bench[4:6] = plate([flat(2, 1, -0.05, wet, y)], [frame, flat(2, 1, -0.05, dry, y)], n_gap)[:2]
+    bench[4:6] = plate(
+        [flat(2, 1, -0.05, wet, y)], [*frame(-0.05, 5.0), flat(2, 1, -0.05, dry, y)], n_gap
+    )[:2]
     return [part("dry", [flat(2, -1, 0.0, dry, y)], "crystal", "", 2.01, AIR), *bench]
 
 
 def cylinder(n_gap, radius=5.0, height=10.0):
     ways = radius * X, radius * Y
-    around = flat(2, 1, -0.05, (-14, 14), (-14, 14))
+    beside = flat(2, 1, -0.05, (-14, 14), (-14, 14))
     foot = ellipse(0 * Z, radius * Y, radius * X)
     return [
         part("lid", [ellipse(height * Z, *ways)], "crystal", "", 2.01, AIR),
         part("foot", [foot], "crystal", "gap", 2.01, n_gap),
         part("side", [mantle(0 * Z, *ways, height * Z)], "crystal", "", 2.01, AIR),
         part("rim", [mantle(-0.05 * Z, *ways, 0.05 * Z)], "gap", "", n_gap, AIR),
-        *plate([ellipse(-0.05 * Z, *ways)], [with_round_hole(around, -0.05 * Z, *ways)], n_gap),
+        *plate([ellipse(-0.05 * Z, *ways)], [with_round_hole(beside, -0.05 * Z, *ways)], n_gap),
     ]
 
 
@@ -142,14 +148,13 @@ def hexagon(n_gap, across=10.0):
     pairs = list(zip(ring, ring_on, strict=True))
     sides = [polygon([a, b, b + 10 * Z, a + 10 * Z]) for a, b in pairs]
     rim = [polygon([a - 0.05 * Z, b - 0.05 * Z, b, a]) for a, b in pairs]
-    corners = np.array([(-14, -14), (14, -14), (14, 14), (-14, 14)], float)
-    beside = polygon(np.column_stack((corners, np.full(4, -0.05))), low)
+    beside = around(flat(2, 1, -0.05, (-14, 14), (-14, 14)), low)
     return [
         part("lid", [polygon(ring + 10 * Z)], "crystal", "", 2.01, AIR),
         part("foot", [polygon(ring[::-1])], "crystal", "gap", 2.01, n_gap),
         part("sides", sides, "crystal", "", 2.01, AIR),
         part("rim", rim, "gap", "", n_gap, AIR),
-        *plate([polygon(low)], [beside], n_gap),
+        *plate([polygon(low)], beside, n_gap),
     ]
 
 

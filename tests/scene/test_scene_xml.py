@@ -4,11 +4,13 @@ import pickle
 from pathlib import Path
 
 import numpy as np
+import pytest
 from places import cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.runs.scene_units import PortableScene
 from mcrim_mitsuba.scene.scene_file import DefaultParameter, SceneFile, parse_define, read_scene
+from mcrim_mitsuba.scene.xml_tree import parse_scene_xml, three_numbers, transform_matrix
 
 cases = cases_of(__file__)
 
@@ -161,3 +163,26 @@ def test_define():
     assert parse_define("n_gap = 1.46") == ("n_gap", "1.46")
     for text in ("n_gap", "=1", "n_gap=", "n gap=1"):
         assert "write for example -D n_gap=1.46" in refusal(parse_define, text)
+
+
+def test_transforms_are_matrices_step_after_step():
+    def matrix(steps):
+        data = f'<scene version="3"><shape><transform name="to_world">{steps}</transform></shape>'
+        shape = parse_scene_xml(f"{data}</scene>".encode(), Path("bench.xml"))[0]
+        return transform_matrix(shape.named("to_world"))
+
+    turned = matrix('<scale value="2"/><rotate z="1" angle="90"/><translate x="1" z="-3"/>')
+    expected = [[0, -2, 0, 1], [2, 0, 0, 0], [0, 0, 2, -3], [0, 0, 0, 1]]
+    np.testing.assert_allclose(turned, expected, atol=1e-15)
+    written = " ".join(str(n) for row in expected for n in row)
+    np.testing.assert_array_equal(matrix(f'<matrix value="{written}"/>'), expected)
+    np.testing.assert_array_equal(transform_matrix(None), np.eye(4))
+    node = parse_scene_xml(b'<scene version="3"><scale value="1, 2, 3"/></scene>', Path("a.xml"))
+    assert three_numbers(node[0], 1.0) == [1.0, 2.0, 3.0]
+    for wrong, words in (
+        ('<lookat origin="0 0 0"/>', "<lookat> of a transform"),
+        ('<rotate z="1"/>', "convert string to float"),
+        ('<translate value="1 2"/>', "shape"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            matrix(wrong)
