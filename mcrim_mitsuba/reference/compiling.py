@@ -33,7 +33,8 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function that is compiled when it is first called, and then kept on disk."""
     if numba is None:
         return function
-    # without counted references, which would cost half of the time: none makes arrays
+    # without counted references and calls, which would cost half of the time each;
+    # none makes arrays
     options = {"nogil": True, "error_model": "numpy", "_nrt": False, "forceinline": True}
     compile_it: Callable[..., Any] = numba.njit(cache=bool(numba.config.CACHE_DIR), **options)
     return compile_it(function)
