@@ -63,6 +63,8 @@ _ADDED = {
 }
 #: Pixels of a cell of the grid on which labels find their place.
 _CELL = 3
+#: Cells of a line that are looked at, at most.
+_MOST_CELLS = 400_000
 #: Pixels of the space beside and above a label.
 _CLEAR = np.array([8, 4])
 
@@ -189,9 +191,10 @@ class SectionAxes:
     def cells_of(self, line: np.ndarray) -> np.ndarray:
         """Columns and rows, shape (n, 2), of the cells that a line (mm, (n, 2)) goes through."""
         shape = np.array(self.owner.shape[::-1])
-        # far ends may lie anywhere outside: ten cells beyond the grid are enough
-        ends = np.clip(self.in_cells(line), -10, shape + 10)
-        parts = [np.linspace(a, b, 2 + int(np.abs(b - a).max())) for a, b in pairwise(ends)]
+        # far ends may lie anywhere outside: to cut them off there would turn the line
+        ends = self.in_cells(line)
+        counts = [min(2 + int(np.abs(b - a).max()), _MOST_CELLS) for a, b in pairwise(ends)]
+        parts = [np.linspace(*pair, n) for pair, n in zip(pairwise(ends), counts, strict=True)]
         cells = np.floor(np.concatenate(parts)).astype(int)
         return cells[((cells >= 0) & (cells < shape)).all(axis=1)]
 
@@ -609,8 +612,7 @@ def cross_section_figure(
     cut = cross_section(model, float(crystal.lower[1] + crystal.upper[1]) / 2)
     width_in, above_in = (_BRIEF_IN, 0.4) if brief else (_WIDTH_IN, 1.75)
     box, inner_in = model.scene.bbox(), width_in - 1.5 * _MARGIN_IN
-    middle_x, middle_y, middle_z = np.array(box.center())
-    wide, _, tall = np.array(box.extents())
+    (middle_x, middle_y, middle_z), (wide, _, tall) = map(np.array, (box.center(), box.extents()))
     # with inches of air for labels
     per_mm = min((inner_in - 2.0) / wide, (2.8 if brief else 4.6) / tall)
     main_in = max(tall * per_mm + 1.5, 2.9)
@@ -627,8 +629,9 @@ def cross_section_figure(
     faulty = _faulty_surfaces(model, interfaces, fault) if fault else set()
     paths, shares = ((), {}) if brief or fault else chosen_paths(simulation, frame)
     handles = _handles(paths, shares)
-    height_in = below_in + main_in + above_in + 0.22 * -(-len(handles) // _PER_ROW)
-    figure = Figure(figsize=(width_in, height_in), dpi=_DPI, facecolor="white")
+    lines = -(-len(handles) // _PER_ROW) + len(str(fault or "")) // 110
+    height_in = below_in + main_in + above_in + 0.22 * lines
+    figure = Figure(figsize=(width_in, height_in), dpi=_DPI)
     FigureCanvasAgg(figure)  # which measures texts
     if not brief:
         _write_above(figure, file, handles if paths else (), fault)
@@ -692,7 +695,7 @@ def _write_above(
     figure.text(0.5, 1 - 0.55 / height_in, shown, size=9.5, **style)
     if fault is not None:
         words = textwrap.fill(visible(str(fault)), 130)
-        figure.text(0.5, 1 - 1.08 / height_in, words, size=11, **style | {"color": _FAULT})
+        figure.text(0.5, 1 - 1.15 / height_in, words, size=11, **style | {"color": _FAULT})
     if handles:
         look: dict[str, Any] = {"fontsize": 9.5, "title": _TITLE, "title_fontsize": 9.5}
         look |= {"frameon": False, "handlelength": 2.6, "columnspacing": 1.4, "borderaxespad": 0.0}
