@@ -82,13 +82,14 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
     showing.refuse_places(json_file, inputs, written=written)
     checked = mcrim.check(scene, run=mcrim.Run(variant=variant, threads=threads), **overrides)
     terminal.write_json(json_file, checked.document)
-    if picture:
+    drawn = picture and Path(scene).is_file()  # of nothing nothing is drawn
+    if drawn:
         from mcrim_mitsuba.output.cross_section import write_cross_section
 
         write_cross_section(checked.plot(), picture)
     screen = terminal.console(json_file)
     showing.show(screen, describe_scene.of_check(checked, first=False))
-    if picture:
+    if drawn:
         screen.line(f"cross-section drawn to {picture}")
     if not checked.ok:
         raise checked.problems[0].error()

@@ -545,9 +545,8 @@ def write_cross_section(figure: Figure, path: str | Path) -> None:
 def figure_of_check(checked: CheckResult) -> Figure:
     """The cross-section of a checked scene, what is wrong with it in red.
 
-    Where such a scene cannot be assembled it is drawn as its file has it, without parameters that
-    differ, or with 1 for the parameter that is wrong; where that is no scene either, what is wrong
-    is written, with its line.
+    Where such a scene cannot be assembled it is drawn without the override that is wrong, or with 1
+    for a parameter that is; where that is no scene either, what is wrong is written, with its line.
     """
     from mcrim_mitsuba.transport.check import interfaces_of
     from mcrim_mitsuba.transport.simulation import Simulation
@@ -555,8 +554,8 @@ def figure_of_check(checked: CheckResult) -> Figure:
     fault, run = next(iter(checked.problems), None), checked.run
     words = set(re.findall(r"\w+", fault.text if fault else ""))
     named = checked.parameters.keys() & words - checked.overrides.keys()
-    attempts: list[dict[str, Any]] = [dict(checked.overrides), dict.fromkeys(named, 1.0)]
-    for overrides in attempts:
+    right = {name: value for name, value in checked.overrides.items() if name not in words}
+    for overrides in (checked.overrides, {**right, **dict.fromkeys(named, 1.0)}):
         with contextlib.suppress(InputError):
             simulation = Simulation(
                 checked.scene, overrides, variant=run.variant, threads=run.threads, check=False

@@ -214,7 +214,7 @@ def test_what_is_wrong_with_a_scene_is_red(tmp_path, mcrim):
     path, red = tmp_path / "wrong.xml", (255, 31, 31)
     for text, values, drawn in (
         (BENCH.replace("</scene>", LID), {}, "crystal_top (line 109) and lid lie on each other"),
-        (BENCH, {"n_gap": -1.0}, "no refractive index"),
+        (BENCH, {"n_gap": -1.0, "gap_mm": 0.07}, "no refractive index"),
         (
             BENCH.replace('"alpha_scat_per_cm" value="', '"alpha_scat_per_cm" value="-', 1),
             {},
@@ -229,6 +229,7 @@ def test_what_is_wrong_with_a_scene_is_red(tmp_path, mcrim):
         assert not checked.ok and bool(figure.axes) == (drawn is not None)
         assert (drawn or "   63    </medum>") in texts
         if drawn:
+            assert "gap_mm" not in values or "gap_mm=0.07" in texts  # what is right is drawn
             assert "here" in [text.get_text() for text in figure.axes[0].texts]
         write_cross_section(figure, tmp_path / "wrong.png")
         pixels = np.rint(255 * imread(tmp_path / "wrong.png")[:, :, :3]).astype(int)
@@ -236,6 +237,8 @@ def test_what_is_wrong_with_a_scene_is_red(tmp_path, mcrim):
     # the command says what is wrong, and fails, as without a picture
     status, _, said = mcrim("check", str(path), "-o", str(tmp_path / "drawn.png"))
     assert status == 2 and "line 63" in said and (tmp_path / "drawn.png").stat().st_size > 5000
+    mcrim.refused("check", tmp_path / "none.xml", "-o", tmp_path / "none.png")
+    assert not (tmp_path / "none.png").exists()
 
 
 def test_what_mirrors_and_what_is_black_is_called_so():
