@@ -482,7 +482,7 @@ def explanation_pieces(diagnosis: Diagnosis) -> list[Piece]:
 
 
 def others_table(diagnosis: Diagnosis, simulated: Calibration, effects: tuple[str, ...]) -> Table:
-    """What the result would be with each leading explanation; no rows where it is not fitted.
+    """What the result would be with the first leading explanations; no rows where it is not fitted.
 
     With the `effects` that were added it is that of their simulation.
     """
@@ -503,7 +503,7 @@ def others_table(diagnosis: Diagnosis, simulated: Calibration, effects: tuple[st
     )
     leading = sentences.leading_candidates(diagnosis)
     fitted = [c for c in leading if {LIGHT_YIELD, ALPHA_SCAT} & parameters(c).keys()]
-    return records("with each of the explanations", columns, fitted)
+    return records("with each of the explanations", columns, fitted[: sentences.MOST_PAIRS])
 
 
 def _brief(effects: Table, diagnosis: Diagnosis) -> Iterator[Piece]:

@@ -51,7 +51,7 @@ _BARS_WIDTH = sum(_BARS_WIDTHS)
 _LETTERS = 34
 #: Height of a size's second line in rows.
 _FURTHER_LINE = 0.5
-#: Rows besides the leading ones: the likeliest.
+#: Rows that are drawn: the likeliest.
 _MOST_ROWS = 8
 _OTHERS = "#b9c4d0"
 #: What is no effect has a row from here on.
@@ -147,7 +147,7 @@ def _rows(diagnosis: Diagnosis) -> list[list[_Row]]:
             lines = (textwrap.fill(style.shortened(t, 2 * _LETTERS), _LETTERS) for t in titles)
             pairs.append(_Row(capital("\n+ ".join(lines)), p))
     likeliest = sorted([*singles, *pairs], key=lambda row: -(row.probability or 0.0))[:_MOST_ROWS]
-    return [[row for row in rows if row.leading or row in likeliest] for rows in (singles, pairs)]
+    return [[row for row in rows if row in likeliest] for rows in (singles, pairs)]
 
 
 @style.styled
@@ -346,8 +346,8 @@ def draw_next(diagnosis: Diagnosis) -> style.Drawing:
         style.text_after_bar(axes, f" ± {percent(sigma / value)}", end)
     style.rows_of_bars(axes, names, fontsize=9.5, parse_math=False)
     axes.margins(x=0.16)
-    thin = "; thin: in the other outcomes" if any(row[-1] for row in rows) else ""
-    axes.set_xlabel(f"{style.parameter_title(LIGHT_YIELD)}, one standard error{thin}")
+    thin = " (thin: in other outcomes)" if any(row[-1] for row in rows) else ""
+    axes.set_xlabel(f"{style.parameter_title(LIGHT_YIELD)},\none standard error{thin}")
     return style.Drawing(figure, columns, rows)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -401,7 +402,8 @@ def headline(diagnosis: Diagnosis, simulated: Calibration | None = None) -> str:
     """
     leading = leading_candidates(diagnosis)
     if diagnosis.verdict != MISSING_EFFECT or not leading:
-        return f"{short_headline(diagnosis)}: {diagnosis.reason}"
+        of_trial = r": chi2 = [^;]* with the first" if simulated is not None else "^$"
+        return f"{short_headline(diagnosis)}: {re.sub(of_trial, '', diagnosis.reason)}"
     best = leading[0]
     if simulated is not None:
         numbers = {name: getattr(simulated, name) for name in ("parameters", "chi2", "ndf")}

@@ -161,6 +161,9 @@ def test_the_verdict_has_the_numbers_of_the_fit_that_is_quoted():
     simulated = calibration({**MENDED, "surface_loss": estimate(0.0131, 0.0008)}, chi2=11.7)
     words = headline(diagnosis("missing_effect"), simulated)
     assert "surface loss = 0.0131 ± 0.0008" in words and "64.2 -> 11.7 (ndf 12" in words
+    reason = "A and B may: chi2 = 12.1 for 11 degrees of freedom (p = 0.36) with the first; more"
+    words = headline(diagnosis("ambiguous", reason=reason), simulated)
+    assert words == "Ambiguous: A and B may; more"
     (row, _) = others_table(diagnosis("ambiguous"), simulated, (FIRST,)).rows
     assert row.cells[1].text == "7.52 ± 0.22"
 
