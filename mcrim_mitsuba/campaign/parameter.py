@@ -302,8 +302,9 @@ class DetectorTerms:
             )
         if self.collection is None and self.cells is None:
             yield (
-                f"{schema.COLLECTION} is not given and counts as 1: losses before the first dynode "
-                "and below the threshold (5 to 20 %) make the light yield higher, afterpulses lower"
+                f"{schema.COLLECTION} is not given and counts as 1: photoelectrons lost before they "
+                "are counted (at a first dynode, below a threshold: 5 to 20 %) make the light yield "
+                "higher, afterpulses and crosstalk lower"
             )
 
 

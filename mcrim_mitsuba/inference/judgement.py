@@ -208,7 +208,8 @@ class Judgement:
             return Verdict(
                 ADEQUATE,
                 f"{quality} ({p_equals(baseline.p_value)}), and with a probability of "
-                f"{probability(1.0 - weighing.moving)} nothing that is missing matters",
+                f"{probability(1.0 - weighing.moving)} nothing is missing that moves the light "
+                "yield by more than its error, or a reading by more than two of its",
             )
         of_instrument = weighing.families[INSTRUMENT]
         of_effects = weighing.probability(lambda h: bool(h.effects))

@@ -226,7 +226,7 @@ _BLANKS = " \t\r\n"
 _AXES = ("value", "x", "y", "z")
 #: Attributes that hold numbers, by element.
 _NUMBERS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("boolean", "float", "integer"), ("value",)),
+    **dict.fromkeys(("boolean", "float", "integer", "spectrum"), ("value",)),
     **dict.fromkeys(("point", "scale", "translate", "vector"), _AXES),
     "rotate": ("angle", *_AXES),
 }
@@ -239,6 +239,8 @@ def refuse_misread(
     refuse_odd_blanks(what, text, **place)
     # a material where none can be named has its own refusal
     if attribute not in _NUMBERS.get(tag, ()) or SEPARATOR in text:
+        return
+    if tag == "spectrum" and ":" in text:  # wavelengths and values
         return
     if tag == "boolean":
         parse_like(what, text, True, given=given, **place)

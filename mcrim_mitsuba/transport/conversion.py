@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
-from mcrim_mitsuba.core.numbers import ALL_DETECTORS, ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
+from mcrim_mitsuba.core.numbers import ALL_DETECTORS, ALPHA_ABS, ALPHA_SCAT, MM_PER_CM, judge
 from mcrim_mitsuba.transport.scene_model import (
     DETECTOR,
     DIELECTRIC,
@@ -330,7 +330,10 @@ def _grey(value) -> float:
         problem = f"a reflectance has a colour ({', '.join(f'{v:g}' for v in values)})"
         mend = 'light is monochromatic: write <spectrum name="reflectance" value="0.97"/>'
         raise InputError(problem, mend)
-    return float(values[0])
+    grey = float(values[0])
+    if (wrong := judge("reflectance", grey)) is not None:
+        raise InputError(f"its reflectance is {grey:g}: {wrong[1]}", wrong[2])
+    return grey
 
 
 def _first(value) -> float:
