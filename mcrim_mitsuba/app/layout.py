@@ -30,6 +30,7 @@ from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.judgement import ADEQUATE
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P
 from mcrim_mitsuba.output import describe_campaign, sentences
 from mcrim_mitsuba.output.description import Column, Table, table
@@ -220,7 +221,10 @@ def _answer(session: Session, settings: Settings, shown: Shown, step: FitStep | 
     if shown.p_value is None:
         return f"{bench} cannot be judged: these readings only just determine its parameters."
     verb = "does not explain" if shown.p_value < ACCEPTABLE_P else "explains"
-    return f"{bench} {verb} these readings: {p_equals(shown.p_value)}."
+    diagnosis = session.state.diagnosis
+    needless = titles and diagnosis and diagnosis.verdict == ADEQUATE
+    without = " Nothing had to be added: it does without." if needless else ""
+    return f"{bench} {verb} these readings: {p_equals(shown.p_value)}.{without}"
 
 
 def _gravest(fit: Calibration) -> str:
@@ -229,7 +233,7 @@ def _gravest(fit: Calibration) -> str:
     lost = [note for note in of_fit if "decimal point" in note]
     misfit = [n.partition("; ")[2] for n in of_fit if n.startswith("the model does not describe")]
     if misfit:
-        return f"Do not quote these numbers: {(*lost, *misfit)[0]}"
+        return f"Do not quote the numbers of this fit: {(*lost, *misfit)[0]}"
     return next((f"Note: {note}" for note in (*of_fit, *fit.notes)), "")
 
 

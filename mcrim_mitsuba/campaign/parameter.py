@@ -302,9 +302,9 @@ class DetectorTerms:
             )
         if self.collection is None and self.cells is None:
             yield (
-                f"{schema.COLLECTION} is not given and counts as 1: photoelectrons lost before they "
-                "are counted (at a first dynode, below a threshold: 5 to 20 %) make the light yield "
-                "higher, afterpulses and crosstalk lower"
+                f"{schema.COLLECTION} is not given and counts as 1: photoelectrons that are not "
+                "counted (lost at a first dynode, below a threshold: 5 to 20 %) make the light "
+                "yield higher, afterpulses and crosstalk lower"
             )
 
 

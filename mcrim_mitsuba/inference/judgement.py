@@ -196,8 +196,10 @@ class Judgement:
     @property
     def suspects(self) -> tuple[Suspect, ...]:
         """Wrong readings that may explain the misfit, the likeliest first."""
-        suspects = (h.suspect for h, _ in self.credible if h.suspect is not None)
-        return tuple({s.words: s for s in suspects}.values())
+        suspects: dict[tuple[str, tuple[str, ...]], Suspect] = {}
+        for suspect in (h.suspect for h, _ in self.credible if h.suspect is not None):
+            suspects.setdefault((suspect.kind, suspect.labels), suspect)
+        return tuple(suspects.values())
 
     @cached_property
     def verdict(self) -> Verdict:

@@ -67,7 +67,8 @@ def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckRepo
         problems = _problems_of_detector(simulation)
     path = choose_path(model, simulation.polarization)
     sentences = describe(simulation, faces, path.name)
-    return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences), file.notes)
+    notes = (*file.notes, *model.notes)
+    return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences), notes)
 
 
 def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:

@@ -123,7 +123,7 @@ def read_scene_model(scene) -> SceneModel:
         elif flat is None:
             curved.append(number)
         faces.extend(flat or [])
-    _let_wrappings_touch(scene, surfaces, shapes, faces, walls, volumes)
+    notes = _let_wrappings_touch(scene, surfaces, shapes, faces, walls, volumes)
     if len({(s.film, s.head_on) for s in surfaces if s.kind == DETECTOR}) > 1:
         problem = "the detectors differ in what they take of light that arrives head-on"
         raise InputError(problem, "let all have the same cathode_nm and angular_falloff")
@@ -141,6 +141,7 @@ def read_scene_model(scene) -> SceneModel:
         size,
         tuple(walls),
         _counted(scene, [surfaces[number].name for number in detectors]),
+        tuple(notes),
     )
 
 
@@ -153,19 +154,24 @@ def _counted(scene, detectors: list[str]) -> int | None:
     return None if name == ALL_DETECTORS else detectors.index(name)
 
 
-def _let_wrappings_touch(scene, surfaces, shapes, faces, walls, volumes) -> None:
-    """Give faces that wrappings touch, or are painted on, what light finds of these behind them."""
+def _let_wrappings_touch(scene, surfaces, shapes, faces, walls, volumes) -> list[str]:
+    """Give faces that wrappings touch, or are painted on, what light finds of these behind them.
+
+    Returns what is to be told of wrappings.
+    """
     wraps = [shape for shape in scene.shapes() if hasattr(shape, "is_paint")]
     rims = outlines(shapes, faces, walls) if wraps else []
-    names = [volume.name for volume in volumes]
+    names, notes = [volume.name for volume in volumes], list[str]()
     for shape in wraps:
         inner, outer = (OUTSIDE if m is None else names.index(m.id()) for m in _media(shape))
         wrapping = Surface(shape.id(), inner, outer, **_followed(shape, inner, outer))
         wrapped = WrappedFaces.of(shape, wrapping, surfaces, rims)
         within = wrapped.volumes(volumes)
+        notes += wrapped.looseness(within)
         if shape.contact or shape.is_paint:
             for number, surface in wrapped.touched(within).items():
                 surfaces[number] = surface
+    return notes
 
 
 def _media(shape) -> tuple:

@@ -301,6 +301,8 @@ class SceneModel:
     walls: tuple[RoundWall, ...] = ()
     #: Number of the detector whose light alone is eta; None: that of all is.
     counted: int | None = None
+    #: What is possible, but seldom meant.
+    notes: tuple[str, ...] = ()
 
     @functools.cached_property
     def geometry(self) -> Hashable:

@@ -216,6 +216,7 @@ class Simulation:
             seconds=seconds,
             notes=(
                 *calibration_notes(tally.head_on),
+                *self.model.notes,
                 *(note for note, holds in notes_if.items() if holds),
                 *notes,
             ),

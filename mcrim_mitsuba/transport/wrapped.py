@@ -25,6 +25,8 @@ from mcrim_mitsuba.transport.scene_model import (
 
 #: Of positions, in parts of the wrapping's size.
 _ROUNDING = 1e-5
+#: Distance of a wrapping from what it wraps, mm, that is told: more than of a loose sheet.
+_LOOSE_MM = 0.5
 #: Places of the plugin's ``top`` and ``foot`` among its bounds.
 _TOP = 0
 _FOOT = 1
@@ -98,6 +100,21 @@ class WrappedFaces:
                 raise InputError(f"{volumes[volume].name} reaches {beyond}", mend)
             within.add(volume)
         return within
+
+    def looseness(self, within: set[int]) -> list[str]:
+        """A note, if the faces of what it is around are all far from its top or its sides."""
+        own = [r for r, s in zip(self.reaches, self.surfaces, strict=True) if within & {*s.sides}]
+        if not own:
+            return []
+        away = -np.concatenate(own)[:, 1].max(axis=0)
+        away[self.shape.open] = away[_FOOT] = -np.inf
+        if away.max() < _LOOSE_MM:
+            return []
+        where = "top" if away.argmax() == _TOP else "sides"
+        mend = "if it lies on the crystal, give it the crystal's own sizes"
+        return [
+            f"the {where} of {self.wrapping.name}: {away.max():.3g} mm from what it wraps; {mend}"
+        ]
 
     def touched(self, within: set[int]) -> dict[int, Surface]:
         """The surfaces that light from `within` may meet the reflector at, by their numbers."""

@@ -62,6 +62,8 @@ def test_wrong_readings_are_named(wrong, seed):
     assert found.verdict == "unexplained" and not found.repair[1:]
     labels = {f"row{i + 1}" for i in wrong}
     assert set(found.suspect_readings[0].labels) == labels
+    named = [(suspect.kind, suspect.labels) for suspect in found.suspect_readings]
+    assert len(named) == len(set(named))  # with stated errors and with larger ones it is one
     likeliest = next(iter(found.probabilities))
     assert all(label in likeliest.replace(" + ", " ").split() for label in labels)
     averaged = found.light_yield_averaged

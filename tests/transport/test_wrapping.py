@@ -201,6 +201,10 @@ def test_what_is_within_the_wrapping_touches_it_and_no_more(scenes):
             "around a cylinder that lies write",
         ),
         ('<spectrum name="reflectance" value="$rho"/>', "", "let it wear"),
+        ('value="$rho"', 'value="97"', "reflectance is 97: a reflectance lies between 0 and 1"),
+        ('value="$rho"', 'value="-0.97"', "reflectance is -0.97"),
+        ('value="$rho"', 'value="0,97"', "decimal comma; write a decimal point: 0.97"),
+        ('value="$rho"', 'value="97%"', "write a fraction: 0.97"),
         (
             'name="interior" id="crystal"',
             'name="exterior" id="crystal"',
@@ -217,6 +221,24 @@ def test_what_cannot_touch_is_refused(tmp_path, old, new, says):
         text = f'{head}<bsdf type="conductor">{tail}'
     (tmp_path / "cavity.xml").write_text(text)
     assert says in refusal(Simulation, tmp_path / "cavity.xml", check=False)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "note"),
+    [
+        ("", "", ()),
+        ('"height" value="20"', '"height" value="21"', ("the top of wrapping: 1 mm from what",)),
+        (_ACROSS, _ACROSS.replace("10", "14"), ("the sides of wrapping: 2 mm from what it",)),
+    ],
+)
+def test_a_wrapping_that_stands_off_gets_a_note(tmp_path, old, new, note):
+    """A crystal that is smaller than its tape was told to be as large, and sound."""
+    (tmp_path / "cavity.xml").write_text(_cavity("box").replace(old, new, 1))
+    simulation = Simulation(tmp_path / "cavity.xml", check=False)
+    assert [text[: len(says)] for text, says in zip(simulation.model.notes, note, strict=True)] == [
+        *note
+    ]
+    assert simulation.collect(4096).notes[-len(note) :] == simulation.model.notes or not note
 
 
 @pytest.mark.parametrize("size", ['value="10.2"', 'value="9.8"'])

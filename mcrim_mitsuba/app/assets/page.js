@@ -322,8 +322,12 @@ function update(told) {
       benches.clear();
     }
     selected = Math.min(selected, told.readings.length - 1);
+    const diagnosed = $("verdict") !== null;
     for (const [id, html] of Object.entries(told.parts)) {
       swap(id, html);
+    }
+    if (diagnosed && !$("verdict")) {
+      changes.lost += "; the diagnosis was of other readings, or is undone";
     }
     reachScrolled();
     if (isFirst) {
