@@ -274,7 +274,11 @@ def reading(session: Session, place: int) -> str:
     """A reading with its bench; what the model says of it, the browser writes there."""
     measurements = session.state.campaign.measurements
     reading = measurements.readings[place]
-    values = configurations(session.state.campaign)[place]
+    campaign, settings = session.state.campaign, session.state.settings
+    # what is switched on is drawn as large as it is now
+    on = [p.name for name in settings.effects for p in campaign.catalogue[name].parameters]
+    sizes = {name: settings.values[name] for name in on if name in settings.values}
+    values = {**configurations(campaign)[place], **sizes}
     return _TEMPLATES.get_template("reading.html").render(
         reading=reading,
         picture=bench_picture(reading, values),

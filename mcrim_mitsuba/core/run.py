@@ -68,8 +68,9 @@ class JobProgress:
     """
 
     _MOST = 0.95
-    #: Before so much of a part is done, and for so long, nobody knows how long it takes.
-    _FIRST, _FIRST_S = 0.04, 2.0
+    #: Before so much of a part is done, and for so long, nobody knows how long it takes; nor before
+    #: so much of the whole, for what comes first compiles.
+    _FIRST, _FIRST_S, _FIRST_OF_ALL = 0.04, 2.0, 0.15
 
     def __init__(self, parts: Parts = ()) -> None:
         #: The whole job, 0 to 1.
@@ -112,7 +113,7 @@ class JobProgress:
     def left(self) -> str:
         """``40 s left``, at the pace of what went on last; empty where nobody knows."""
         seconds = self._whole_s * (1.0 - self.done) - (time.monotonic() - self._told_s)
-        if seconds < 1:
+        if seconds < 1 or self.done < self._FIRST_OF_ALL:
             return ""
         return f"{seconds:.0f} s left" if seconds < 100 else f"{seconds / 60:.0f} min left"
 

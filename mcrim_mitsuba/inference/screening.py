@@ -65,7 +65,7 @@ class ScreeningCache:
         )
         self._number = number_of(
             campaign.scene.content_hash,
-            [asdict(each) for each in campaign.measurements.readings],
+            [asdict(reading) for reading in campaign.measurements.readings],
             repr(campaign.parameters),
             repr(campaign.scale),
             campaign.beam,

@@ -418,7 +418,7 @@ class _Weigher:
         suspicions = [self._readings[name] for name in wrong]
         together = suspicions[0]
         if len(wrong) > 1:
-            rows = tuple(sorted({row for each in suspicions for row in each.rows}))
+            rows = tuple(sorted({row for suspicion in suspicions for row in suspicion.rows}))
             labels = tuple(baseline.statistic.labels[row] for row in rows)
             together = WrongRows(BAD_READING, labels, rows)
         pull = None

@@ -340,7 +340,9 @@ def test_fits_are_kept_compared_removed_and_undone(files):
     folder, _ = files
     with opened(folder / "bench.toml", folder) as session:
         first = session.state
+        assert 'class="air"' not in layout.reading(session, 4)
         fitted(session, effects=("gap_bubble",))
+        assert layout.reading(session, 4).count('class="air"') == 1  # the bubble in the gel
         session.edit(exchange.with_cell, 15, "use", "0")
         fitted(session, effects=())
         names = [layout.step_name(step) for step in session.state.steps]

@@ -350,10 +350,10 @@ def page(tmp_path_factory, scenes):
     return html.fromstring((folder / "report.html").read_bytes()), read_campaign(toml)
 
 
-def test_the_report_begins_with_the_raw_data(page):
+def test_the_report_has_the_raw_data_before_what_was_measured(page):
     parsed, campaign = page
     sections = [e.get("id") for e in parsed.xpath("//header | //section")]
-    assert sections[:3] == ["summary", "raw", "measured"]
+    assert sections[:5] == ["summary", "explanations", "next", "raw", "measured"]
     assert [a.get("href")[1:] for a in parsed.xpath("//nav//a")] == sections[1:]
     titles = [h.text_content() for h in parsed.xpath("//section/h2")][: len(sections) - 1]
     assert [title.split(".")[0] for title in titles] == [str(i) for i in range(1, len(sections))]

@@ -87,7 +87,7 @@ def run(line: str) -> None:
 
 
 def test_the_page_has_its_recipes():
-    assert len(recipes()) == 21
+    assert len(recipes()) == 22
     headings = re.findall(r"^## (.+)$", PAGE, re.M)
     assert headings == [
         "Change the shape",

@@ -165,6 +165,7 @@ function predict() {
     }
     if (told && told.settings_number === numbers.settings_number) {
       unanswered = false;
+      benches.clear(); // what is switched on has another size in the picture
       present(told);
     }
     shade();
