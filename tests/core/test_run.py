@@ -79,9 +79,12 @@ def test_linear_algebra_has_one_thread_meanwhile():
         assert (threads(), one_thread()(threads)(), threads()) == ({2}, {1}, {2})
 
 
-def test_a_signal_waits_for_the_end():
+def test_a_signal_waits_for_the_end(request):
     """Where Mitsuba is at work: `project/test_signals.py`."""
     done = []
+    # a command that a test of the same process interrupted ignores signals from then on
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
 
     @signals_wait()
     def work() -> None:

@@ -167,6 +167,9 @@ function predict() {
       unanswered = false;
       benches.clear(); // what is switched on has another size in the picture
       present(told);
+    } else if (told || document.body.classList.contains("lost")) {
+      // it came too late, or never: without another question the numbers would stay grey
+      window.setTimeout(() => unanswered && !asking && predict(), IDLE_MS);
     }
     shade();
   });
