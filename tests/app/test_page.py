@@ -86,14 +86,31 @@ def test_jobs_wait_and_stop(browser, campaign, scenes):
         assert not browser.text("#error")
 
 
+#: The next question for predictions gets no answer.
+ONE_IS_LOST = """
+const real = window.fetch;
+window.lost = 0;
+window.fetch = function (address, options) {
+    if (address === "predictions" && !window.lost) {
+        window.lost += 1;
+        return Promise.reject(new Error("too late"));
+    }
+    return real(address, options);
+};
+"""
+
+
 def test_another_page_and_a_lost_connection_are_told_of(browser, campaign, shared_cache):
     with running(campaign, shared_cache, browser) as app:
         first, typing = browser.driver.current_window_handle, []
         browser.driver.switch_to.new_window("tab")
         browser.driver.get(app.address)
         app.settled()
+        browser.run(ONE_IS_LOST)  # it stayed grey for good
         app.type(app.control("number", "alpha_abs_per_cm"), "0.03")
         browser.wait_for(lambda: "by hand" in browser.text("#answer"), "another model")
+        app.settled()
+        assert browser.run("return window.lost") == 1
         typing.append(app.control("number", "alpha_scat_per_cm"))
         typing[0].send_keys(KEYS["all"], "0.9")
         second = browser.driver.current_window_handle
