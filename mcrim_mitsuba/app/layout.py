@@ -295,9 +295,8 @@ def _diagnosis_panel(session: Session) -> str:
     diagnosis, shown = session.state.diagnosis, None
     leading = sentences.leading_candidates(diagnosis) if diagnosis else []
     if leading:
-        sizes = {name: size.value for name, size in leading[0].parameters.items()}
-        settings = Settings(leading[0].effects, {**session.state.settings.values, **sizes})
-        shown = session.model.live.show(session.state.campaign, settings)
+        settings = Settings(leading[0].effects, session.state.settings.values)
+        shown = session.model.live.show(session.state.campaign, session.at_found(settings))
     texts = {"diagnosis": diagnosis, "ranked": diagnosis and _ranked(diagnosis)}
     template = _TEMPLATES.get_template("diagnosis.html")
     return template.render(**texts, leading=leading, shown=shown)

@@ -226,7 +226,7 @@ class Session:
             self._make_ready(settings.effects)
             if self.model.fit_at(settings) is not None:
                 return
-            asked = self._at_found(settings) if is_on else settings
+            asked = self.at_found(settings) if is_on else settings
             with contextlib.suppress(InputError):
                 self._fit(asked, settings, before(settings))
 
@@ -245,13 +245,13 @@ class Session:
     def add(self, effects: Sequence[str], settings: Settings) -> None:
         """Switch more effects on and fit, beginning with the sizes that the diagnosis found."""
         together = tuple(dict.fromkeys((*settings.effects, *effects)))
-        more = self._at_found(replace(settings, effects=together))
+        more = self.at_found(replace(settings, effects=together))
         offered = self.model.live.controls.effects
         titles = ", ".join(offered[name][0].title for name in effects if name in offered)
         work = functools.partial(self._fit, more, settings)
         self.jobs.start(PageJob(f"add {' '.join(effects)}", f"adding {titles}", work))
 
-    def _at_found(self, settings: Settings) -> Settings:
+    def at_found(self, settings: Settings) -> Settings:
         """Settings with the sizes of their effects that the diagnosis found, if it did."""
         diagnosis = self.state.diagnosis
         candidate = diagnosis and diagnosis.candidate(settings.effects)

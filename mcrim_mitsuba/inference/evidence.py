@@ -190,14 +190,11 @@ class _Sampled:
         """(points, free) parameters of (points, free) standard normal numbers."""
         return np.column_stack([p.value(z[:, i]) for i, p in enumerate(self._priors)])
 
-    def _residuals(self, theta: Array) -> Array:
-        """(points, used) whitened residuals."""
-        predicted = self._statistic.model.predict_many(theta)[:, self._statistic.used]
-        return self._weights.whiten(self._statistic.signal - predicted)
-
     def log_likelihood(self, theta: Array) -> Array:
         """(points,) of (points, free) parameters, up to a constant of the campaign."""
-        return -0.5 * ((self._residuals(theta) ** 2).sum(1) + self._weights.log_determinant)
+        predicted = self._statistic.model.predict_many(theta)[:, self._statistic.used]
+        residuals = self._weights.whiten(self._statistic.signal - predicted)
+        return -0.5 * ((residuals**2).sum(1) + self._weights.log_determinant)
 
     def maximum(self, theta: Array) -> tuple[Array, Array]:
         """(free,) numbers z where the posterior density is highest, and their covariance.

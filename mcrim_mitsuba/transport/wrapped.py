@@ -92,10 +92,9 @@ class WrappedFaces:
             low, high = reach[:, 0].min(axis=0), reach[:, 1].max(axis=0)
             if (low > -self.rounding).any():
                 continue  # beside it, or below
-            high[self.shape.open] = high[_FOOT] = -np.inf
-            if high.max() > self.rounding:
-                where = "top" if high.argmax() == _TOP else "sides"
-                beyond = f"{high.max():.3g} mm beyond the {where} of {self.wrapping.name}"
+            farthest, where = self._farthest(high)
+            if farthest > self.rounding:
+                beyond = f"{farthest:.3g} mm beyond the {where} of {self.wrapping.name}"
                 mend = "give that the crystal's own sizes; it wraps what stands upright"
                 raise InputError(f"{volumes[volume].name} reaches {beyond}", mend)
             within.add(volume)
@@ -106,15 +105,16 @@ class WrappedFaces:
         own = [r for r, s in zip(self.reaches, self.surfaces, strict=True) if within & {*s.sides}]
         if not own:
             return []
-        away = -np.concatenate(own)[:, 1].max(axis=0)
-        away[self.shape.open] = away[_FOOT] = -np.inf
-        if away.max() < _LOOSE_MM:
+        away, where = self._farthest(-np.concatenate(own)[:, 1].max(axis=0))
+        if away < _LOOSE_MM:
             return []
-        where = "top" if away.argmax() == _TOP else "sides"
         mend = "if it lies on the crystal, give it the crystal's own sizes"
-        return [
-            f"the {where} of {self.wrapping.name}: {away.max():.3g} mm from what it wraps; {mend}"
-        ]
+        return [f"the {where} of {self.wrapping.name}: {away:.3g} mm from what it wraps; {mend}"]
+
+    def _farthest(self, distances: np.ndarray) -> tuple[float, str]:
+        """The largest of (bounds,) distances from what is there of it, and where that is."""
+        distances[self.shape.open] = distances[_FOOT] = -np.inf
+        return float(distances.max()), "top" if distances.argmax() == _TOP else "sides"
 
     def touched(self, within: set[int]) -> dict[int, Surface]:
         """The surfaces that light from `within` may meet the reflector at, by their numbers."""
