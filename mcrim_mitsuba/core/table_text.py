@@ -114,7 +114,8 @@ _SHOWN = 40
 
 def is_number(cell: str) -> bool:
     """Whether a cell is a number, with a decimal point or comma."""
-    return _NUMBER.fullmatch(cell) is not None
+    # counts and channels are most of what is read, a million at a time
+    return (cell.isdigit() and cell.isascii()) or _NUMBER.fullmatch(cell) is not None
 
 
 def is_no_number(cell: str) -> bool:

@@ -28,10 +28,9 @@ from mcrim_mitsuba.transport.scene_model import (
 )
 from mcrim_mitsuba.transport.volume_consistency import (
     claimed_indices,
-    probe_lines,
+    probe,
     problems_of_named_volumes,
     problems_of_volumes,
-    trace_crossings,
 )
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckRepo
         *problems_of_contacts(file, model),
     ]
     if not problems:
-        crossings = trace_crossings(model, *probe_lines(model))
+        crossings = probe(model)
         # Index claims come first where the geometry itself is sound: they name the faces best.
         contradictions = problems_of_volumes(file, model, faces, crossings)
         problems = problems_of_named_volumes(faces) or contradictions

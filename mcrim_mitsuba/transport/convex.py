@@ -9,7 +9,7 @@ between two faces, because they have no edges.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from mcrim_mitsuba.transport.conversion import opaque
-from mcrim_mitsuba.transport.scene_model import OUTSIDE, Circle, RoundWall, SceneModel
+from mcrim_mitsuba.transport.scene_model import OUTSIDE, Circle, Kept, RoundWall, SceneModel
 
 #: A volume of more planes than this is left to others: a tree is faster.
 MOST_PLANES = 64
@@ -82,9 +82,7 @@ class Solid:
 
 
 #: Solids by geometry: benches that follow each other often differ in their surfaces alone.
-_known_solids: dict[Hashable, list[Solid]] = {}
-#: The most geometries that are kept.
-_MOST_KNOWN = 64
+_known_solids = Kept[list[Solid]](64)
 
 
 def convex_solids(model: SceneModel) -> list[Solid]:
@@ -92,12 +90,7 @@ def convex_solids(model: SceneModel) -> list[Solid]:
 
     One with several neighbours that are not convex counts as not convex itself.
     """
-    geometry = model.geometry
-    if geometry not in _known_solids:
-        if len(_known_solids) >= _MOST_KNOWN:
-            del _known_solids[next(iter(_known_solids))]
-        _known_solids[geometry] = _find_convex_solids(model)
-    return _known_solids[geometry]
+    return _known_solids.of(model.geometry, lambda: _find_convex_solids(model))
 
 
 def _find_convex_solids(model: SceneModel) -> list[Solid]:

@@ -10,7 +10,6 @@ does. Random numbers aside, every photon fares as from face to face.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -25,6 +24,7 @@ from mcrim_mitsuba.transport.scene_model import (
     DIELECTRIC,
     DIFFUSE,
     OUTSIDE,
+    Kept,
     RoundWall,
     SceneModel,
     Surface,
@@ -52,9 +52,7 @@ class WrappingFilm:
 
 #: Films by geometry, and by what the surfaces are to them: benches that follow each other often
 #: differ in other things alone.
-_known_films: dict[Hashable, WrappingFilm | None] = {}
-#: The most that are kept.
-_MOST_KNOWN = 64
+_known_films = Kept[WrappingFilm | None](64)
 
 
 def film_before(model: SceneModel, crystal: Solid) -> WrappingFilm | None:
@@ -74,11 +72,7 @@ def film_before(model: SceneModel, crystal: Solid) -> WrappingFilm | None:
         return None
     plain = tuple(_is_plain(surface, crystal.volume) for surface in model.surfaces)
     key = model.geometry, crystal.volume, frozenset(numbers), plain
-    if key not in _known_films:
-        if len(_known_films) >= _MOST_KNOWN:
-            del _known_films[next(iter(_known_films))]
-        _known_films[key] = _find_film(model, crystal, surfaces.pop())
-    film = _known_films[key]
+    film = _known_films.of(key, lambda: _find_film(model, crystal, surfaces.pop()))
     return film and replace(film, surface=model.surfaces[min(numbers)])
 
 

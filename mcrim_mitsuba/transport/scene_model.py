@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -398,6 +398,25 @@ class SceneModel:
     def volume_names(self) -> list[str]:
         """Names of the volumes, in their order; air comes first."""
         return [volume.name for volume in self.volumes]
+
+
+_Found = TypeVar("_Found")
+
+
+class Kept(Generic[_Found]):
+    """What was found of the last benches, so many of them: those that follow are often alike."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._found = most, dict[Hashable, _Found]()
+
+    def of(self, key: Hashable, find: Callable[[], _Found]) -> _Found:
+        """What was found of a bench like this one, or is now; the oldest makes room."""
+        if key not in self._found:
+            found = find()
+            if len(self._found) >= self._most:
+                del self._found[next(iter(self._found))]
+            self._found[key] = found
+        return self._found[key]
 
 
 def box_of(shape) -> tuple[np.ndarray, np.ndarray]:
