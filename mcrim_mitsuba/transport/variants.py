@@ -108,7 +108,8 @@ def _already_loaded() -> LlvmLibrary:
     library = _usable(Path(path), "already loaded") if path else None
     if library is None:
         raise InputError(
-            f"Dr.Jit was imported first and uses {path or 'no LLVM'}, which is too old",
+            f"Dr.Jit was imported first and was given {path or 'no LLVM'}, which is too old or "
+            "cannot be loaded",
             "call mcrim_mitsuba.use_variant() before mitsuba and drjit are imported",
         )
     return library
@@ -121,8 +122,10 @@ def _checked(path: str | Path, origin: str) -> LlvmLibrary:
         raise InputError("there is no such file", _MEND, path=place)
     try:
         version = llvm_version(path)
-    except OSError:
-        raise InputError("this is not a shared library", _MEND, path=place) from None
+    except OSError as error:
+        # the loader names the file, and what that needs and has not
+        problem = f"this is not a shared library that can be loaded ({error})"
+        raise InputError(problem, _MEND, path=place) from None
     if version is None or version[0] < OLDEST_LLVM:
         name = "older than 16" if version is None else ".".join(map(str, version))
         what = f"this LLVM ({name}) is too old: Dr.Jit's first kernel would abort the process"
