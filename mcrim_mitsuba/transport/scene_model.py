@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+import threading
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
@@ -408,15 +409,16 @@ class Kept(Generic[_Found]):
 
     def __init__(self, most: int) -> None:
         self._most, self._found = most, dict[Hashable, _Found]()
+        self._one_at_a_time = threading.Lock()
 
     def of(self, key: Hashable, find: Callable[[], _Found]) -> _Found:
         """What was found of a bench like this one, or is now; the oldest makes room."""
-        if key not in self._found:
-            found = find()
-            if len(self._found) >= self._most:
-                del self._found[next(iter(self._found))]
-            self._found[key] = found
-        return self._found[key]
+        with self._one_at_a_time:
+            if key not in self._found:
+                self._found[key] = find()
+                if len(self._found) > self._most:
+                    del self._found[next(iter(self._found))]
+            return self._found[key]
 
 
 def box_of(shape) -> tuple[np.ndarray, np.ndarray]:
