@@ -305,7 +305,9 @@ class SectionAxes:
             if on_paths[best].any():  # else it would only hide what it names
                 artist.set_bbox(paper(0.7, 1.0))
             if beside and leader:
-                self._draw_leader(np.array(link), targets[target].astype(int))
+                self.line(np.array(link), INK, 0.8)
+                self.ax.plot(*link[1], "o", color=INK, markersize=4, markeredgecolor="white")
+                self._take_around(targets[target].astype(int), _PLACING.around_end)
             self.taken[row : row + h, column : column + w] = True
             return True
         return False
@@ -320,12 +322,6 @@ class SectionAxes:
             elsewhere = ~np.isin(self.owner[rows, columns], (0, volume))
             cost += _PLACING.on_something * (self.taken[rows, columns] | elsewhere)
         return cost
-
-    def _draw_leader(self, link: np.ndarray, end: np.ndarray) -> None:
-        """Draw a leader (mm, shape (2, 2)) and keep the cells around its end, (2,), free."""
-        self.line(link, INK, 0.8)
-        self.ax.plot(*link[1], "o", color=INK, markersize=4, markeredgecolor="white")
-        self._take_around(end, _PLACING.around_end)
 
 
 def _count_in_rectangles(cells: np.ndarray, wide: int, tall: int) -> np.ndarray:

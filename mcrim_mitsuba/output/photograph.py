@@ -398,11 +398,7 @@ def render(
 
 
 def _expose(
-    sheet: Sheet,
-    bodies: Sequence[Sequence[Body]],
-    panels: Sequence[Photo],
-    samples: int,
-    run: Run,
+    sheet: Sheet, bodies: Sequence[Sequence[Body]], panels: Sequence[Photo], samples: int, run: Run
 ) -> None:
     """Photograph the bodies of each panel, and put the pictures on the sheet."""
     from mcrim_mitsuba.transport.photograph import photograph

@@ -26,12 +26,7 @@ from mcrim_mitsuba.core.rounding import (
 )
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
-from mcrim_mitsuba.inference.judgement import (
-    AMBIGUOUS,
-    MISSING_EFFECT,
-    NO_EFFECTS,
-    UNEXPLAINED,
-)
+from mcrim_mitsuba.inference.judgement import AMBIGUOUS, MISSING_EFFECT, NO_EFFECTS, UNEXPLAINED
 from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
     EVENTS_ORIGIN,
@@ -614,11 +609,7 @@ def next_for_average(diagnosis: Diagnosis) -> str:
 
     def systematic(name: str, part: float, by: str) -> Contribution:
         return Contribution(
-            name=name,
-            relative=part / averaged.value,
-            kind="systematic",
-            reducible=bool(by),
-            by=by,
+            name=name, relative=part / averaged.value, kind="systematic", reducible=bool(by), by=by
         )
 
     other_reading = "a further reading that tells them apart"
