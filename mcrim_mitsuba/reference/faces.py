@@ -186,11 +186,9 @@ class FacedBench:
         rows, spaces = np.zeros(len(faces), walk.FACE_FIELDS), list[HalfSpace]()
         quadrics = np.zeros((len(faces), 12))
         for row, quadric, (number, face) in zip(rows, quadrics, faces, strict=True):
-            row["form"], row["circle"] = (
-                walk.FLAT if face.plane is not None else walk.ROUND,
-                face.circle,
-            )
+            row["form"], row["circle"] = walk.ROUND, face.circle
             if face.plane is not None:
+                row["form"] = walk.FLAT
                 row["x"], row["y"], row["z"], row["level"] = face.plane
             if face.quadric is not None:
                 quadric[:] = (*face.quadric[:, :3].ravel(), *face.quadric[:, 3])
@@ -230,10 +228,8 @@ class FacedBench:
         rows = np.zeros(len(self.surfaces), walk.SURFACE_FIELDS)
         rows["mask_radius"] = math.inf
         for row, surface in zip(rows, self.surfaces, strict=True):
-            row["interior"], row["exterior"] = map(
-                self.number, (surface.interior, surface.exterior)
-            )
-            for name, value in surface.optics.items():
+            sides = {side: self.number(getattr(surface, side)) for side in ("interior", "exterior")}
+            for name, value in (sides | surface.optics).items():
                 row[name] = value
         return rows
 

@@ -47,10 +47,6 @@ class Properties:
     def __contains__(self, name: str) -> bool:
         return self.node.named(name) is not None
 
-    def has_any(self, beginning: str) -> bool:
-        """Whether a property's name begins so."""
-        return any(part.get("name", "").startswith(beginning) for part in self.node.elements)
-
     def refusal(self, problem: str) -> InputError:
         """The error that the tracer does not know something of this element."""
         path, line = self.file.place_of(self.node)
@@ -126,18 +122,10 @@ def _prism(foot: Any, top: Any) -> list[list]:
 # Mitsuba's own shapes.
 
 
-def _rectangle(shape: Properties, matrix: Floats) -> list[Face]:
-    return [polygon(_moved(matrix, _square((-1, 1), (-1, 1))))]
-
-
 def _cube(shape: Properties, matrix: Floats) -> list[Face]:
     top, foot = (_up(_square((-1, 1), (-1, 1)), z) for z in (1.0, -1.0))
     sides = [top, foot[::-1], *_prism(foot, top)]
     return [polygon(_moved(matrix, side)) for side in sides]
-
-
-def _disk(shape: Properties, matrix: Floats) -> list[Face]:
-    return [ellipse(matrix[:3, 3], matrix[:3, 0], matrix[:3, 1])]
 
 
 def _cylinder(shape: Properties, matrix: Floats) -> list[Face]:
@@ -148,11 +136,6 @@ def _cylinder(shape: Properties, matrix: Floats) -> list[Face]:
     v = np.cross(along, u) / np.linalg.norm(along)
     ways = (matrix[:3, :3] @ way for way in (u, v, along))
     return [mantle(_moved(matrix, foot), *ways)]
-
-
-def _sphere(shape: Properties, matrix: Floats) -> list[Face]:
-    centre = _moved(matrix, shape.point("center"))
-    return [ellipsoid(centre, matrix[:3, :3] * shape.number("radius", 1.0))]
 
 
 def _mesh(shape: Properties, matrix: Floats) -> list[Face]:
@@ -400,11 +383,15 @@ def _lying_fillet(shape: Properties, matrix: Floats) -> list[Face]:
 
 
 _READERS: dict[str, Callable[[Properties, Floats], list[Face]]] = {
-    "rectangle": _rectangle,
+    "rectangle": lambda _, matrix: [polygon(_moved(matrix, _square((-1, 1), (-1, 1))))],
     "cube": _cube,
-    "disk": _disk,
+    "disk": lambda _, matrix: [ellipse(matrix[:3, 3], matrix[:3, 0], matrix[:3, 1])],
     "cylinder": _cylinder,
-    "sphere": _sphere,
+    "sphere": lambda shape, matrix: [
+        ellipsoid(
+            _moved(matrix, shape.point("center")), matrix[:3, :3] * shape.number("radius", 1.0)
+        )
+    ],
     "obj": _mesh,
     "ply": _mesh,
     "panel": _panel,
