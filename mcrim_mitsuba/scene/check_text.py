@@ -12,13 +12,7 @@ from pathlib import Path
 from lxml import etree
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.numbers import (
-    ALL_DETECTORS,
-    COUNTED,
-    LARGEST_INDEX,
-    judge,
-    parse_number,
-)
+from mcrim_mitsuba.core.numbers import ALL_DETECTORS, COUNTED, LARGEST_INDEX, judge, parse_number
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.xml_tree import Node, misled, misspelt, three_numbers
 
