@@ -271,20 +271,17 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
         kind, entries_of_it = others[path.suffix.lower()]
         mend = f"name a campaign (.toml) with {entries_of_it}"
         raise InputError(f"this is {kind}, not a campaign", mend, path=path)
-    document = _with_new_names(read_toml(path))
+    document = read_toml(path)
+    # parameters of effects as they are named today
+    content = {**document.content, "parameters": with_new_names(document.table("parameters"))}
+    lines = {".".join(with_new_names(n.split("."))): line for n, line in document.lines.items()}
+    document = replace(document, content=content, lines=lines | document.lines)
     folder = _folder(document.table("", schema.CAMPAIGN), trust_effects)
     with collected(READS) as files:
         campaign = _campaign_of(document, folder)
     sources = () if folder is None else sorted(folder.glob("*.py"))
     files = [path, *campaign.scene.files, *files, *sources]
     return replace(campaign, files=tuple(dict.fromkeys(files)))
-
-
-def _with_new_names(document: TomlDocument) -> TomlDocument:
-    """The document with parameters of effects as they are named today."""
-    content = {**document.content, "parameters": with_new_names(document.table("parameters"))}
-    lines = {".".join(with_new_names(n.split("."))): line for n, line in document.lines.items()}
-    return replace(document, content=content, lines=lines | document.lines)
 
 
 def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
@@ -300,12 +297,7 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         document, scene, measurements, of_effects | {*scene.parameters, EFFICIENCY_FACTOR}
     )
     _refuse_rows_the_scene_cannot_take(scene, measurements)
-    sizes = {
-        parameter.name
-        for effect in effects.values()
-        for parameter in effect.parameters
-        if parameter.nominal is None
-    }
+    sizes = {p.name for of in effects.values() for p in of.parameters if p.nominal is None}
     light = [row.signal for row in measurements.in_use if not row.of_beam]
     effects = {name: effect.beside(np.array(light)) for name, effect in effects.items()}
     tolerances = read_tolerances(document, scene, measurements, sizes)
@@ -322,8 +314,12 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         executed=() if folder is None else (whose(folder),),
         samples=samples,
     )
-    campaign = replace(campaign, effects=_read_effects(entries, campaign))
-    campaign = with_treatments(campaign, document)
+    names = with_new_names(entries.get("effects", []))
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise entries.refusal("effects", "effects is not a list of names", "write effects = []")
+    with said_by(partial(entries.refusal, "effects")):
+        _refuse_effects(names, campaign)
+    campaign = with_treatments(replace(campaign, effects=tuple(names)), document)
     campaign = _with_parameters(campaign, document)
     campaign = replace(
         campaign,
@@ -340,7 +336,14 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
 def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
     """The campaign with all of its parameters, and what turns the scale into a light yield."""
     values, measurements = campaign.values, campaign.measurements
-    _refuse_parameters_of_other_effects(document, campaign)
+    owners = {
+        p.name: effect.name for effect in campaign.catalogue.values() for p in effect.parameters
+    }
+    for name in document.table("parameters"):
+        owner = owners.get(name)
+        if owner and owner not in campaign.effects and name not in values:
+            problem = f"{name} belongs to {owner}, which is neither switched on nor in the scene"
+            raise document.refusal(f"parameters.{name}", problem, f'write "{owner}" into effects')
     named = (*campaign.treatments, *campaign.effects)
     ranges = known_ranges(campaign.catalogue, named, values)
     brought = [p.name for name in named for p in campaign.catalogue[name].parameters]
@@ -526,16 +529,6 @@ def _folder(entries: TomlTable, trusted: bool) -> Path | None:
     return path
 
 
-def _read_effects(entries: TomlTable, campaign: Campaign) -> tuple[str, ...]:
-    """The effects that are switched on."""
-    names = with_new_names(entries.get("effects", []))
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise entries.refusal("effects", "effects is not a list of names", "write effects = []")
-    with said_by(partial(entries.refusal, "effects")):
-        _refuse_effects(names, campaign)
-    return tuple(names)
-
-
 def _refuse_effects(names: Sequence[str], campaign: Campaign) -> None:
     """Refuse effects that cannot be switched on, or not together."""
     for position, name in enumerate(names):
@@ -551,17 +544,6 @@ def _refuse_effects(names: Sequence[str], campaign: Campaign) -> None:
             raise InputError(problem, f"declare it there, or do without {name}")
     if pair := exclude_each_other([campaign.catalogue[name] for name in names]):
         raise InputError(f"{pair[0]} and {pair[1]} exclude each other", "remove one of the two")
-
-
-def _refuse_parameters_of_other_effects(document: TomlDocument, campaign: Campaign) -> None:
-    """Refuse a parameter whose effect is neither switched on nor in the scene, or the beam."""
-    effects = campaign.catalogue.values()
-    owners = {p.name: effect.name for effect in effects for p in effect.parameters}
-    for name in document.table("parameters"):
-        owner = owners.get(name)
-        if owner and owner not in campaign.effects and name not in campaign.values:
-            problem = f"{name} belongs to {owner}, which is neither switched on nor in the scene"
-            raise document.refusal(f"parameters.{name}", problem, f'write "{owner}" into effects')
 
 
 def _read_next(table: TomlTable, campaign: Campaign) -> dict[str, Any]:
