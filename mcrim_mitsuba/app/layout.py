@@ -17,14 +17,7 @@ from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, SAMPLE, TRANSMITTAN
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.files import attributes, plain
 from mcrim_mitsuba.core.numbers import titled
-from mcrim_mitsuba.core.rounding import (
-    counted,
-    number,
-    p_equals,
-    p_text,
-    pdg,
-    probability,
-)
+from mcrim_mitsuba.core.rounding import counted, number, p_equals, p_text, pdg, probability
 from mcrim_mitsuba.efficiency.response_maker import configurations
 from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosis
@@ -134,19 +127,16 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
             | {n: reading.parameters.get(n, "") for n in measurements.columns}
             for reading in measurements.readings
         ],
-        "steps": [_falling(step) for step in now.steps],
+        "steps": [
+            {"name": step_name(step), "text": f"{fit.chi2:.3g} / {fit.ndf}"}
+            | {"height": fit.chi2 / fit.ndf if fit.ndf > 0 else None}
+            for step, fit in ((step, step.calibration) for step in now.steps)
+        ],
         "can_undo": history.can_undo,
         "parts": panels,
         "gains": {c.effect: (c.delta_chi2, f"χ² −{sentences.gain_text(c)}") for c in gaining},
     }
     return plain(document)
-
-
-def _falling(step: FitStep) -> dict[str, Any]:
-    """A fit in the chart of the error."""
-    chi2, ndf = step.calibration.chi2, step.calibration.ndf
-    height = chi2 / ndf if ndf > 0 else None
-    return {"name": step_name(step), "text": f"{chi2:.3g} / {ndf}", "height": height}
 
 
 def step_name(step: FitStep) -> str:
