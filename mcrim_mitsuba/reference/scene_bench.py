@@ -184,8 +184,7 @@ def _volume(medium: Properties) -> dict[str, float]:
     if medium.node.type == "homogeneous":
         extinction = medium.number("sigma_t", 1.0) * medium.number("scale", 1.0)
         albedo = medium.number("albedo", 0.75)
-        coefficients = {"scattering": albedo * extinction, "absorption": (1 - albedo) * extinction}
-        return values | coefficients
+        return values | {"scattering": albedo * extinction, "absorption": (1 - albedo) * extinction}
     if medium.node.type != "bulk":
         raise medium.refusal(f"a medium of type {medium.node.type}")
     wavelength, is_there = medium.number("wavelength_nm", _WAVELENGTH_NM), medium.is_filled()

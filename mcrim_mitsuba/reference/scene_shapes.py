@@ -95,8 +95,7 @@ def faces_of(shape: Properties) -> list[Face]:
     read = _READERS.get(shape.node.type)
     if read is None:
         raise shape.refusal(f"shapes of type {shape.node.type}")
-    matrix = to_world(shape)
-    faces = read(shape, matrix)
+    faces = read(shape, to_world(shape))
     return [face.flipped for face in faces] if shape.flag("flip_normals") else faces
 
 
@@ -124,8 +123,7 @@ def _prism(foot: Any, top: Any) -> list[list]:
 
 def _cube(shape: Properties, matrix: Floats) -> list[Face]:
     top, foot = (_up(_square((-1, 1), (-1, 1)), z) for z in (1.0, -1.0))
-    sides = [top, foot[::-1], *_prism(foot, top)]
-    return [polygon(_moved(matrix, side)) for side in sides]
+    return [polygon(_moved(matrix, side)) for side in [top, foot[::-1], *_prism(foot, top)]]
 
 
 def _cylinder(shape: Properties, matrix: Floats) -> list[Face]:
@@ -134,8 +132,7 @@ def _cylinder(shape: Properties, matrix: Floats) -> list[Face]:
     u = np.cross(along, np.eye(3)[np.abs(along).argmin()])
     u *= radius / np.linalg.norm(u)
     v = np.cross(along, u) / np.linalg.norm(along)
-    ways = (matrix[:3, :3] @ way for way in (u, v, along))
-    return [mantle(_moved(matrix, foot), *ways)]
+    return [mantle(_moved(matrix, foot), *(matrix[:3, :3] @ way for way in (u, v, along)))]
 
 
 def _mesh(shape: Properties, matrix: Floats) -> list[Face]:
