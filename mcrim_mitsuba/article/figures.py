@@ -170,8 +170,7 @@ def _draw_three_numbers(
     for line in lines:
         if line.polarised:
             continue
-        alpha = _FINE + line.printed.alpha_abs_per_cm.value
-        internal = transmittance(alpha, p.CRYSTAL_MM.value)
+        internal = transmittance(_FINE + line.printed.alpha_abs_per_cm.value, p.CRYSTAL_MM.value)
         colour, _ = _STYLE[line.printed.transmittance_percent.value]
         axes.plot(
             100 * measured_transmittance(internal, p.N_CRYSTAL.value),
