@@ -200,8 +200,7 @@ def background_noise(histogram: Histogram, peak: Peak) -> Array:
     assert calibration.background is not None
     of_run = calibration.background.counts
     per_bin = np.zeros(len(histogram.photons))
-    inside = (histogram.photons >= peak.low) & (histogram.photons <= peak.high)
-    per_bin[inside] = peak.per_count
+    per_bin[(histogram.photons >= peak.low) & (histogram.photons <= peak.high)] = peak.per_count
     join = round(float(np.diff(histogram.photons[:2])[0]) / calibration.per_channel)
     per_channel = np.repeat(per_bin, join)
     per_channel = np.pad(per_channel, (0, len(counts) - len(per_channel)))

@@ -139,8 +139,7 @@ def _of_root(path: Path, wanted: str) -> ChannelSpectrum:
     if len(counts) < _FEWEST_CHANNELS or not np.allclose(steps, steps[0]):
         problem = f"the histogram {name} has {len(counts)} bins, or bins of several widths"
         raise InputError(problem, f"give {_FEWEST_CHANNELS} of one width at least", path=path)
-    centres = 0.5 * (edges[1:] + edges[:-1])
-    return ChannelSpectrum(path, (name,), centres, _whole(path, counts))
+    return ChannelSpectrum(path, (name,), 0.5 * (edges[1:] + edges[:-1]), _whole(path, counts))
 
 
 def _whole(path: Path, counts: Array) -> Array:

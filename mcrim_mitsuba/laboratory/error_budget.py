@@ -184,11 +184,8 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
         pulls = solve_triangular(root, [number.value / mean - 1 for number in values], lower=True)
         chi2 = float(pulls @ pulls)
     statistical, systematic = (
-        {origin: part for origin, part in sigma.items() if origin in of_kind}
-        for of_kind in (
-            {origin for number in values for origin in number.statistical},
-            {origin for number in values for origin in number.systematic},
-        )
+        {o: part for o, part in sigma.items() if any(o in getattr(n, kind) for n in values)}
+        for kind in ("statistical", "systematic")
     )
     p_value = None if chi2 is None else float(chdtrc(ndf, chi2))
     return CommonValue(

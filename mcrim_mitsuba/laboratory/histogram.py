@@ -183,8 +183,7 @@ _UNEVEN = 0.01
 def _sorted_into_bins(events: Array, width: float) -> tuple[Array, Array]:
     """Centres and counts of bins of one width, the first about the lowest number."""
     lowest = float(events.min())
-    numbers = np.floor((events - lowest) / width + 0.5).astype(int)
-    counts = np.bincount(numbers).astype(float)
+    counts = np.bincount(np.floor((events - lowest) / width + 0.5).astype(int)).astype(float)
     return lowest + width * np.arange(len(counts), dtype=float), counts
 
 

@@ -139,8 +139,7 @@ def fit_pedestal(channels: Array, counts: Array) -> Pedestal | None:
             spread = math.sqrt(np.average((channels[near] - mean) ** 2, weights=counts[near]))
             sigma = max(spread, 0.29 * width) / math.sqrt(counts[near].sum())
             return Pedestal(mean, sigma, max(spread, 1e-3))
-        events = counts[near].sum()
-        start = np.array([events, position, width, 0.0, 0.0])
+        start = np.array([counts[near].sum(), position, width, 0.0, 0.0])
         peak, _, _ = fit_band(channels[near], counts[near], GAUSSIAN, start)
         if not peak.counts_at(np.array(peak.centroid)) > _OVER * peak.background:
             return None
