@@ -261,8 +261,7 @@ def session_file(state: State) -> tuple[str, bytes]:
         "compared": state.steps.index(state.beside) if state.steps else 0,
         "diagnosed": state.diagnosis is not None,
     }
-    name = f"{safe_name(campaign.path.stem, '')}_session.json"
-    return name, json_text(document).encode()
+    return f"{safe_name(campaign.path.stem, '')}_session.json", json_text(document).encode()
 
 
 def read_session(name: str, content: bytes, scene: SceneFile) -> dict[str, Any]:
