@@ -352,8 +352,7 @@ def _profiles_numbers(profiles: Sequence[Profile]) -> style.Numbers:
             if value is not None
         ]
         rows += [(profile.name, *point, _parabola(profile, point[1])) for point in points]
-    columns = ("parameter", "point", "value", "delta_chi2", "delta_chi2_parabola")
-    return columns, rows
+    return ("parameter", "point", "value", "delta_chi2", "delta_chi2_parabola"), rows
 
 
 def _parabola(profile: Profile, values: np.ndarray) -> np.ndarray:

@@ -326,8 +326,7 @@ def not_tried(diagnosis: Diagnosis) -> list[str]:
 def how_to_look(diagnosis: Diagnosis) -> list[str]:
     """How to look for the leading effects without a fit, a sentence or two for each."""
     look = {candidate.effect: candidate.look for candidate in diagnosis.candidates}
-    leading = list(_leading_effects(diagnosis))[:MOST_NAMED]
-    looked_for = (name for name in leading if look.get(name))
+    looked_for = (name for name in list(_leading_effects(diagnosis))[:MOST_NAMED] if look.get(name))
     return [f"{capital(in_words(diagnosis, [name]))}: {look[name]}" for name in looked_for]
 
 
@@ -741,8 +740,7 @@ def _not_among_these(planning: Planning) -> str:
 def _mend(origin: str) -> str:
     """What lowers the part of an error with this origin, such as ``prior of alpha_abs_per_cm``."""
     if origin.startswith(PRIOR):
-        name = origin.removeprefix(PRIOR)
-        return _MENDS.get(origin, f"{name} measured better by other means")
+        return _MENDS.get(origin, f"{origin.removeprefix(PRIOR)} measured better by other means")
     return _MENDS.get(origin, _MENDS[EFFICIENCY])
 
 
