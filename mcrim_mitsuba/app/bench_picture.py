@@ -40,7 +40,15 @@ def bench_picture(reading: Reading, values: Mapping[str, Value]) -> dict[str, An
         if not all(name in values for name in _CRYSTAL):
             return None
         wide, tall = (float(values[name]) for name in _CRYSTAL)
-        return _beam(wide, tall, str(values.get("beam_axis", "z")))
+        per_mm = min((_WIDTH - 6 * _RIM) / wide, (_HEIGHT - 6 * _RIM) / tall)
+        upright = values.get("beam_axis", "z") == "z"
+        beam = (2 * _MASK, _HEIGHT) if upright else (_WIDTH, 2 * _MASK)
+        shapes = [
+            {"kind": kind, "x": (_WIDTH - width) / 2, "y": (_HEIGHT - height) / 2}
+            | {"width": width, "height": height}
+            for kind, width, height in (("crystal", wide * per_mm, tall * per_mm), ("beam", *beam))
+        ]
+        return {"width": _WIDTH, "height": _HEIGHT, "shapes": shapes}
     if not all(name in values for name in _BENCH):
         return None
     wide, tall, gap, n_gap, window, thick = (float(values[name]) for name in _BENCH)
@@ -109,18 +117,6 @@ def _added(
         for kind, *sides in bars
         if min(sides[2:]) > 0.0
     ]
-
-
-def _beam(wide: float, tall: float, axis: str) -> dict[str, Any]:
-    """The crystal by itself, with a spectrophotometer's beam through it."""
-    per_mm = min((_WIDTH - 6 * _RIM) / wide, (_HEIGHT - 6 * _RIM) / tall)
-    sides = (2 * _MASK, _HEIGHT) if axis == "z" else (_WIDTH, 2 * _MASK)
-    shapes = [
-        {"kind": kind, "x": (_WIDTH - width) / 2, "y": (_HEIGHT - height) / 2}
-        | {"width": width, "height": height}
-        for kind, width, height in (("crystal", wide * per_mm, tall * per_mm), ("beam", *sides))
-    ]
-    return {"width": _WIDTH, "height": _HEIGHT, "shapes": shapes}
 
 
 def bench_words(

@@ -199,7 +199,12 @@ def campaign_archive(
         text = campaign_with_effects(mended, target, scene_path, sizes, chosen)
         for path, content in ((scene_path, scene_text(scene)), (target, text)):
             path.write_text(content, encoding="utf-8", newline="")
-        _copy_included(scene, folder)
+        root = scene.path.parent.resolve()
+        for included in (Path(file).resolve() for file in scene.included):
+            if included.is_relative_to(root):  # else it is not below the scene's own folder
+                copy = folder / included.relative_to(root)
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(included, copy)
         return f"{stem}.zip", Path(shutil.make_archive(str(folder), "zip", name, stem)).read_bytes()
 
 
@@ -216,17 +221,6 @@ def _copied(campaign: Campaign, folder: Path) -> Campaign:
         for file in campaign.effects_folder.glob("*.py"):
             shutil.copy(file, moved["effects_folder"])
     return replace(campaign, **moved)
-
-
-def _copy_included(scene: SceneFile, folder: Path) -> None:
-    """Copy what a scene includes from below its own folder."""
-    root = scene.path.parent.resolve()
-    for included in scene.included:
-        source = Path(included).resolve()
-        if source.is_relative_to(root):
-            copy = folder / source.relative_to(root)
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, copy)
 
 
 def report_file(
@@ -267,8 +261,7 @@ def session_file(state: State) -> tuple[str, bytes]:
         "compared": state.steps.index(state.beside) if state.steps else 0,
         "diagnosed": state.diagnosis is not None,
     }
-    name = f"{safe_name(campaign.path.stem, '')}_session.json"
-    return name, json_text(document).encode()
+    return f"{safe_name(campaign.path.stem, '')}_session.json", json_text(document).encode()
 
 
 def read_session(name: str, content: bytes, scene: SceneFile) -> dict[str, Any]:

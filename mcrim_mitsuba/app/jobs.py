@@ -145,8 +145,7 @@ class Jobs:
                     return
                 job = self._waiting.popleft()
                 self._cancelled = False
-                bar = JobProgress(job.parts)
-                self._status = replace(self._status, job=job, stage="", bar=bar)
+                self._status = replace(self._status, job=job, stage="", bar=JobProgress(job.parts))
             error, stopped = self._run(job)
             if error or stopped:
                 with suppress(InputError):

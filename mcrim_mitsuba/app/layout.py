@@ -17,17 +17,9 @@ from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, SAMPLE, TRANSMITTAN
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.files import attributes, plain
 from mcrim_mitsuba.core.numbers import titled
-from mcrim_mitsuba.core.rounding import (
-    counted,
-    number,
-    p_equals,
-    p_text,
-    pdg,
-    probability,
-)
+from mcrim_mitsuba.core.rounding import counted, number, p_equals, p_text, pdg, probability
 from mcrim_mitsuba.efficiency.response_maker import configurations
 from mcrim_mitsuba.inference.candidates import Candidate
-from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.judgement import ADEQUATE
@@ -134,19 +126,16 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
             | {n: reading.parameters.get(n, "") for n in measurements.columns}
             for reading in measurements.readings
         ],
-        "steps": [_falling(step) for step in now.steps],
+        "steps": [
+            {"name": step_name(step), "text": f"{fit.chi2:.3g} / {fit.ndf}"}
+            | {"height": fit.chi2 / fit.ndf if fit.ndf > 0 else None}
+            for step, fit in ((step, step.calibration) for step in now.steps)
+        ],
         "can_undo": history.can_undo,
         "parts": panels,
         "gains": {c.effect: (c.delta_chi2, f"χ² −{sentences.gain_text(c)}") for c in gaining},
     }
     return plain(document)
-
-
-def _falling(step: FitStep) -> dict[str, Any]:
-    """A fit in the chart of the error."""
-    chi2, ndf = step.calibration.chi2, step.calibration.ndf
-    height = chi2 / ndf if ndf > 0 else None
-    return {"name": step_name(step), "text": f"{chi2:.3g} / {ndf}", "height": height}
 
 
 def step_name(step: FitStep) -> str:
@@ -297,18 +286,15 @@ def _diagnosis_panel(session: Session) -> str:
     if leading:
         settings = Settings(leading[0].effects, session.state.settings.values)
         shown = session.model.live.show(session.state.campaign, session.at_found(settings))
-    texts = {"diagnosis": diagnosis, "ranked": diagnosis and _ranked(diagnosis)}
+    ranked: list[tuple[str, Candidate | None, float | None]] = []
+    if diagnosis:  # what is no effect stands where its probability puts it
+        chances = diagnosis.probabilities
+        candidates = {c.effect: c for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])}
+        named = [*candidates, *(name for name in sentences.NO_EFFECTS if name in chances)]
+        named.sort(key=lambda name: -chances.get(name, 0.0))
+        ranked = [(name, candidates.get(name), chances.get(name)) for name in named]
     template = _TEMPLATES.get_template("diagnosis.html")
-    return template.render(**texts, leading=leading, shown=shown)
-
-
-def _ranked(diagnosis: Diagnosis) -> list[tuple[str, Candidate | None, float | None]]:
-    """Names, candidates and probabilities; what is no effect stands where this puts it."""
-    leading, chances = sentences.leading_candidates(diagnosis), diagnosis.probabilities
-    shown = {c.effect: c for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])}
-    named = [*shown, *(name for name in sentences.NO_EFFECTS if name in chances)]
-    named.sort(key=lambda name: -chances.get(name, 0.0))
-    return [(name, shown.get(name), chances.get(name)) for name in named]
+    return template.render(diagnosis=diagnosis, ranked=ranked, leading=leading, shown=shown)
 
 
 def _fits_panel(session: Session) -> str:

@@ -24,7 +24,6 @@ from mcrim_mitsuba.app.state import (
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
-from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run, one_thread
 from mcrim_mitsuba.efficiency.response_maker import configurations
@@ -131,8 +130,10 @@ class LiveModel:
         for place, p in enumerate(statistic.free):
             value = settings.values.get(p.name, p.start)
             theta[place] = value if p.name == SCALE else min(max(value, p.minimum), p.maximum)
-        if settings.fit_scale:
-            theta = _fit_scale(statistic, theta)
+        # the scale follows the readings, all else is held
+        held = [i for i in range(len(theta)) if i != statistic.index(SCALE)]
+        for _ in range(_SCALE_STEPS * settings.fit_scale):
+            theta, _, _ = newton(statistic, theta, Weights(statistic.errors_at(theta)), held=held)
         prediction = statistic.model.predict(theta, check=True, covariance=True)
         assert prediction.eta_sigma is not None  # checked
         assert prediction.interpolation_error is not None
@@ -171,21 +172,17 @@ class LiveModel:
             assert self._simulated is not None  # only then is anything shown
             if len(self._models) >= _MOST_MODELS:
                 self._models = {}
-            movable = _movable(campaign.with_effects(names), knowledge)
+            movable = campaign.with_effects(names)
+            parameters = {**movable.parameters, SCALE: movable.scale or UNKNOWN_SCALE}
+            # with priors where they are known, and nothing held
+            for name in parameters.keys() & knowledge.keys():
+                prior = Known(PRIOR, *(knowledge[name].gaussian or (None, None)))
+                parameters[name] = prior.of(parameters[name], math.nan)
+            movable = replace(movable, scale=parameters.pop(SCALE), parameters=parameters)
             model = self._simulated.model_of(movable, anchor)
             # with what its key is the identity of; the model has its anchor
             self._models[key] = (campaign, model)
         return self._models[key][1]
-
-
-def _movable(campaign: Campaign, knowledge: Mapping[str, Known]) -> Campaign:
-    """A campaign with priors where they are known, and nothing held."""
-
-    parameters = {**campaign.parameters, SCALE: campaign.scale or UNKNOWN_SCALE}
-    for name in parameters.keys() & knowledge.keys():
-        prior = Known(PRIOR, *(knowledge[name].gaussian or (None, None)))
-        parameters[name] = prior.of(parameters[name], math.nan)
-    return replace(campaign, scale=parameters.pop(SCALE), parameters=parameters)
 
 
 def _controls(campaign: Campaign, simulations: CampaignSimulations) -> Controls:
@@ -234,13 +231,3 @@ def _controls(campaign: Campaign, simulations: CampaignSimulations) -> Controls:
 def _shape(campaign: Campaign) -> list[tuple[str, dict[str, Value]]]:
     """What tells benches apart."""
     return [(r.kind, r.parameters) for r in campaign.measurements.readings]
-
-
-def _fit_scale(statistic: Statistic, theta: Array) -> Array:
-    """Parameters with the scale that follows the readings; all else is held."""
-    place = statistic.index(SCALE)
-    held = [i for i in range(len(theta)) if i != place]
-    for _ in range(_SCALE_STEPS):
-        weights = Weights(statistic.errors_at(theta))
-        theta, _, _ = newton(statistic, theta, weights, held=held)
-    return theta

@@ -59,11 +59,6 @@ class ReadingsModel:
         """Whether what is simulated is that of the readings in the table."""
         return self.live.fits(self._history.state.campaign)
 
-    def is_ready(self, effects: Sequence[str]) -> bool:
-        """Whether nothing has to be simulated before these effects are shown."""
-        ready = self.live.ready
-        return ready is not None and ready.issuperset(effects) and self.is_simulated
-
     def make_ready(self, effects: Sequence[str] = ()) -> None:
         """Simulate what is not simulated yet: the readings' bench as it is, and effects."""
         while not self.is_simulated:
@@ -350,9 +345,9 @@ class Session:
 
     def compare_with(self, number: int) -> None:
         """Show the model beside a fit."""
-        effects = self.state.step(number).settings.effects
+        effects, ready = self.state.step(number).settings.effects, self.model.live.ready
         self.history.change(compared=number)
-        if not self.model.is_ready(effects):
+        if ready is None or not (ready.issuperset(effects) and self.model.is_simulated):
             work = functools.partial(self._make_ready, effects)
             self.jobs.start(PageJob("compare", "simulating the other fit", work))
 

@@ -401,8 +401,7 @@ class History:
             settings, self._moving = self.state.settings, frozenset()
             if effects is not None:
                 settings = replace(settings, effects=effects)
-            kept = replace(self.state, settings=settings)
-            self._kept = [*self._kept[1 - _MOST_UNDONE :], kept]
+            self._kept = [*self._kept[1 - _MOST_UNDONE :], replace(self.state, settings=settings)]
 
     def forget(self) -> None:
         """Let nothing be brought back any more."""

@@ -223,6 +223,11 @@ def sentences(contradiction: Contradiction) -> tuple[str, ...]:
         ranking.append(f"{title}: probability {100 * probability:.2g} %{with_it}")
     nothing = 100 * diagnosis.probabilities.get(NOTHING_MISSING, 0.0)
     scat, absorption = (baseline.parameters[name].value for name in (ALPHA_SCAT, ALPHA_ABS))
+    best = next((new for new in diagnosis.next_measurements if new.is_of_readings), None)
+    if best is not None:
+        pairs = "; ".join(told_apart(diagnosis, best)[:2])
+        separated = f" ({pairs})" if pairs else ""
+        ranking.append(f"one more measurement would tell most at {best.words}{separated}")
     return (
         f"the fitted {p.ALPHA_SCAT.value:g} and {p.NOMINAL.alpha_abs_per_cm.text} /cm predict a "
         f"transmittance of {100 * _predicted():.0f} %, or "
@@ -235,14 +240,4 @@ def sentences(contradiction: Contradiction) -> tuple[str, ...]:
         "over this catalogue with these priors, without ground faces, for the article says that "
         f"all were polished: nothing missing, probability {nothing:.2g} %",
         *ranking,
-        *_next(diagnosis),
     )
-
-
-def _next(diagnosis: Diagnosis) -> tuple[str, ...]:
-    best = next((new for new in diagnosis.next_measurements if new.is_of_readings), None)
-    if best is None:
-        return ()
-    pairs = "; ".join(told_apart(diagnosis, best)[:2])
-    separated = f" ({pairs})" if pairs else ""
-    return (f"one more measurement would tell most at {best.words}{separated}",)

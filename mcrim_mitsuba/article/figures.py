@@ -15,7 +15,6 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.contradiction import Contradiction
-from mcrim_mitsuba.article.published import Table1Line
 from mcrim_mitsuba.article.simulated import COUPLINGS, CURVE_PER_CM, SimulatedLine
 from mcrim_mitsuba.core.files import make_folder
 from mcrim_mitsuba.core.rounding import capital, pdg
@@ -103,15 +102,9 @@ def draw_efficiency(lines: Sequence[SimulatedLine]) -> style.Drawing:
             continue
         colour, marker = _STYLE[line.printed.transmittance_percent.value]
         printed = line.printed.etas_percent[place]
-        axes.errorbar(
-            line.printed.alpha_scat_per_cm.value,
-            printed.value,
-            yerr=printed.rounding,
-            fmt=marker,
-            mec=colour,
-            ecolor=colour,
-            **_PRINTED,
-        )
+        look: dict[str, Any] = {"fmt": marker, "mec": colour, "ecolor": colour, **_PRINTED}
+        scattering = line.printed.alpha_scat_per_cm.value
+        axes.errorbar(scattering, printed.value, printed.rounding, **look)
         axes.plot(line.alpha_scat.value, 100 * line.etas[place], **_OURS)
     _scattering_axis(axes)
     axes.set_ylim(0, 56)
@@ -138,14 +131,8 @@ def draw_ratio(lines: Sequence[SimulatedLine]) -> style.Drawing:
     ratio, error = p.RATIO.value, p.RATIO.stated_sigma
     axes.axhspan(ratio - error, ratio + error, color=style.PALE, lw=0)
     axes.axhline(ratio, color=style.GREY, lw=0.9)
-    axes.text(
-        0.0105,
-        ratio + error + 0.003,
-        f"measured R = {ratio:.3f} ± {error:.3f}",
-        fontsize=10,
-        color=style.GREY,
-        va="bottom",
-    )
+    words = f"measured R = {ratio:.3f} ± {error:.3f}"
+    axes.text(0.0105, ratio + error + 0.003, words, fontsize=10, color=style.GREY, va="bottom")
     for line in lines:
         nominal = line.printed == p.NOMINAL
         if line.polarised or nominal:
@@ -183,8 +170,7 @@ def _draw_three_numbers(
     for line in lines:
         if line.polarised:
             continue
-        alpha = _FINE + line.printed.alpha_abs_per_cm.value
-        internal = transmittance(alpha, p.CRYSTAL_MM.value)
+        internal = transmittance(_FINE + line.printed.alpha_abs_per_cm.value, p.CRYSTAL_MM.value)
         colour, _ = _STYLE[line.printed.transmittance_percent.value]
         axes.plot(
             100 * measured_transmittance(internal, p.N_CRYSTAL.value),
@@ -194,16 +180,9 @@ def _draw_three_numbers(
             label=rf"$α_\mathrm{{abs}}$ = {line.printed.alpha_abs_per_cm.text} /cm",
         )
     measured = (p.MEASURED_TRANSMITTANCE.value, p.RATIO.value)
-    axes.errorbar(
-        *measured,
-        xerr=100 * next(r.sigma for r in contradiction.diagnosis.baseline.rows if r.measured < 1.0),
-        yerr=p.RATIO.stated_sigma,
-        fmt="o",
-        ms=8,
-        color="black",
-        capsize=3,
-        zorder=6,
-    )
+    sigma = next(r.sigma for r in contradiction.diagnosis.baseline.rows if r.measured < 1.0)
+    look: dict[str, Any] = {"fmt": "o", "ms": 8, "color": "black", "capsize": 3, "zorder": 6}
+    axes.errorbar(*measured, p.RATIO.stated_sigma, 100 * sigma, **look)
     beside: dict[str, Any] = {"xytext": (-10, 10), "textcoords": "offset points", "ha": "right"}
     axes.annotate("measured", measured, weight="bold", **beside)
     axes.set_xlim(0, 92)
@@ -256,15 +235,8 @@ def _mark_solution(axes: Axes, line: SimulatedLine) -> None:
     foot = _OURS_HEIGHT - lower
     axes.plot(solution.value, p.RATIO.value, **_OURS)
     axes.plot([solution.value] * 2, [p.RATIO.value, foot], color=colour, lw=0.8, ls=":")
-    axes.errorbar(
-        printed.value,
-        _ARTICLE_HEIGHT - lower,
-        xerr=printed.sigma,
-        fmt=marker,
-        mec=colour,
-        ecolor=colour,
-        **_PRINTED,
-    )
+    look: dict[str, Any] = {"fmt": marker, "mec": colour, "ecolor": colour, **_PRINTED}
+    axes.errorbar(printed.value, _ARTICLE_HEIGHT - lower, xerr=printed.sigma, **look)
     axes.plot(solution.value, foot, **_OURS)
     if not nominal:
         return
@@ -294,22 +266,12 @@ def _draw_curve(
     values, sigmas = (factor * side[place] for side in line.curves)
     low, high = values - 2 * sigmas, values + 2 * sigmas
     axes.fill_between(CURVE_PER_CM, low, high, color=colour, alpha=0.25, lw=0)
-    _name_curve(axes, line.printed, values[-1])
-
-
-def _name_curve(axes: Axes, line: Table1Line, height: float) -> None:
-    """The transmittance at the curve's right end, a little apart from its neighbours'."""
-    percent = line.transmittance_percent
+    # the transmittance at the curve's right end, a little apart from its neighbours'
+    percent = line.printed.transmittance_percent
     apart = 3 * np.sign(percent.value - p.NOMINAL.transmittance_percent.value)
-    axes.annotate(
-        f"T = {percent.text} %",
-        (p.SCANNED_TO.value, height),
-        xytext=(5, apart),
-        textcoords="offset points",
-        va="center",
-        color=_STYLE[percent.value][0],
-        fontsize=10,
-    )
+    look: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 10}
+    end = (p.SCANNED_TO.value, values[-1])
+    axes.annotate(f"T = {percent.text} %", end, (5, apart), color=colour, **look)
 
 
 def _scattering_axis(axes: Axes) -> None:

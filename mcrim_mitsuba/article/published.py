@@ -286,9 +286,14 @@ def compare(
     recorded in `arithmetic.inconsistencies`, which overrules the rule. Numbers that stand side by
     side and need not agree are not `judged`.
     """
-    value, errors = _with_errors(ours, sigma, systematic)
+    if isinstance(ours, Uncertain):
+        sigma, systematic = ours.statistical_sigma, ours.systematic_sigma
+    number = ours.value if isinstance(ours, (Derived, Uncertain)) else ours
+    value, sigma, systematic = (
+        None if part is None else float(part) for part in (number, sigma, systematic)
+    )
     if difference_sigma is None:
-        parts = (paper.sigma if paper else None, *errors)
+        parts = (paper.sigma if paper else None, sigma, systematic)
         difference_sigma = math.hypot(*(part or 0.0 for part in parts))
     verdict = REFERENCE
     if paper is not None and value is not None and judged:
@@ -306,21 +311,8 @@ def compare(
         paper_sigma=paper.sigma if paper else None,
         paper_text=paper.text if paper else "",
         ours=value,
-        sigma=errors[0],
-        systematic=errors[1],
+        sigma=sigma,
+        systematic=systematic,
         verdict=verdict,
         remark=remark,
     )
-
-
-def _with_errors(
-    ours: Derived | Uncertain | SupportsFloat | None, sigma: float | None, systematic: float | None
-) -> tuple[float | None, tuple[float | None, float | None]]:
-    """A value, and its statistical and systematic errors: its own where it has some."""
-    if isinstance(ours, Uncertain):
-        return ours.value, (ours.statistical_sigma, ours.systematic_sigma)
-    value = ours.value if isinstance(ours, Derived) else ours
-    number, error, other = (
-        None if part is None else float(part) for part in (value, sigma, systematic)
-    )
-    return number, (error, other)

@@ -91,7 +91,7 @@ def reproduce_article(*, run: Run = Run()) -> ArticleResult:
         photons=photons,
         seed=run.seed,
         seconds=time.perf_counter() - start,
-        versions=simulated.versions,
+        versions=dict(simulated.thin.versions),
         scene_hashes=simulated.scene_hashes,
     )
 
@@ -215,11 +215,6 @@ def _tables(rows: tuple[ArticleRow, ...]) -> Iterator[Part]:
         yield from (Sentence(f"  {row.quantity}: {row.remark}.") for row in shown if row.remark)
 
 
-def _quantity(row: ArticleRow) -> str:
-    """What a row is of, with its unit."""
-    return f"{row.quantity} ({row.unit})" if row.unit else row.quantity
-
-
 def _ours(row: ArticleRow) -> str:
     """Our value with its errors, in digits that the statistical one deserves."""
     if row.ours is None:
@@ -234,7 +229,7 @@ def _ours(row: ArticleRow) -> str:
 
 
 _COLUMNS = (
-    Column("quantity", of=_quantity),
+    Column("quantity", of=lambda row: f"{row.quantity} ({row.unit})" if row.unit else row.quantity),
     Column("article", of=lambda row: row.paper_text or "-"),
     Column("ours", of=_ours),
     Column("verdict"),

@@ -140,11 +140,6 @@ class Simulated:
         """SHA-256 of each scene that was used, at its defaults."""
         return {name: read_scene(scene_path(name)).content_hash for name in _SCENES}
 
-    @property
-    def versions(self) -> dict[str, str]:
-        """Versions of what simulated."""
-        return dict(self.thin.versions)
-
 
 def simulate_article(*, run: Run = Run()) -> Simulated:
     """Run every simulation that the article's numbers need.

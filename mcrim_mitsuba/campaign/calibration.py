@@ -66,8 +66,7 @@ def read_calibration(document: TomlDocument) -> ChannelCalibration | None:
     background = None
     if "background" in table:
         background = read_channels(file_in(table, "background", table["background"]))
-        time = number("background_live_time_s")
-        background = with_live_time(background, time, times[1])
+        background = with_live_time(background, number("background_live_time_s"), times[1])
     return ChannelCalibration(
         gain=_gain(table, pedestal),
         pedestal=pedestal,

@@ -271,20 +271,17 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
         kind, entries_of_it = others[path.suffix.lower()]
         mend = f"name a campaign (.toml) with {entries_of_it}"
         raise InputError(f"this is {kind}, not a campaign", mend, path=path)
-    document = _with_new_names(read_toml(path))
+    document = read_toml(path)
+    # parameters of effects as they are named today
+    content = {**document.content, "parameters": with_new_names(document.table("parameters"))}
+    lines = {".".join(with_new_names(n.split("."))): line for n, line in document.lines.items()}
+    document = replace(document, content=content, lines=lines | document.lines)
     folder = _folder(document.table("", schema.CAMPAIGN), trust_effects)
     with collected(READS) as files:
         campaign = _campaign_of(document, folder)
     sources = () if folder is None else sorted(folder.glob("*.py"))
     files = [path, *campaign.scene.files, *files, *sources]
     return replace(campaign, files=tuple(dict.fromkeys(files)))
-
-
-def _with_new_names(document: TomlDocument) -> TomlDocument:
-    """The document with parameters of effects as they are named today."""
-    content = {**document.content, "parameters": with_new_names(document.table("parameters"))}
-    lines = {".".join(with_new_names(n.split("."))): line for n, line in document.lines.items()}
-    return replace(document, content=content, lines=lines | document.lines)
 
 
 def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
@@ -300,12 +297,7 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         document, scene, measurements, of_effects | {*scene.parameters, EFFICIENCY_FACTOR}
     )
     _refuse_rows_the_scene_cannot_take(scene, measurements)
-    sizes = {
-        parameter.name
-        for effect in effects.values()
-        for parameter in effect.parameters
-        if parameter.nominal is None
-    }
+    sizes = {p.name for of in effects.values() for p in of.parameters if p.nominal is None}
     light = [row.signal for row in measurements.in_use if not row.of_beam]
     effects = {name: effect.beside(np.array(light)) for name, effect in effects.items()}
     tolerances = read_tolerances(document, scene, measurements, sizes)
@@ -322,8 +314,12 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         executed=() if folder is None else (whose(folder),),
         samples=samples,
     )
-    campaign = replace(campaign, effects=_read_effects(entries, campaign))
-    campaign = with_treatments(campaign, document)
+    names = with_new_names(entries.get("effects", []))
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise entries.refusal("effects", "effects is not a list of names", "write effects = []")
+    with said_by(partial(entries.refusal, "effects")):
+        _refuse_effects(names, campaign)
+    campaign = with_treatments(replace(campaign, effects=tuple(names)), document)
     campaign = _with_parameters(campaign, document)
     campaign = replace(
         campaign,
@@ -340,7 +336,14 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
 def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
     """The campaign with all of its parameters, and what turns the scale into a light yield."""
     values, measurements = campaign.values, campaign.measurements
-    _refuse_parameters_of_other_effects(document, campaign)
+    owners = {
+        p.name: effect.name for effect in campaign.catalogue.values() for p in effect.parameters
+    }
+    for name in document.table("parameters"):
+        owner = owners.get(name)
+        if owner and owner not in campaign.effects and name not in values:
+            problem = f"{name} belongs to {owner}, which is neither switched on nor in the scene"
+            raise document.refusal(f"parameters.{name}", problem, f'write "{owner}" into effects')
     named = (*campaign.treatments, *campaign.effects)
     ranges = known_ranges(campaign.catalogue, named, values)
     brought = [p.name for name in named for p in campaign.catalogue[name].parameters]
@@ -349,7 +352,14 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
         for name in dict.fromkeys([*document.table("parameters"), *brought])
         if name not in campaign.ties
     }
-    _refuse_ranges_of_beam(document, parameters, values)
+    # values that no spectrophotometer has
+    for name in filter(BEAM_PARAMETERS.__contains__, parameters):
+        table = document.table(f"parameters.{name}")
+        for entry in ("start", "min", "max"):
+            if (value := table.number(entry)) is not None:
+                of_beam = refused_of_beam(name, value) or too_wide({**values, name: value})
+                if of_beam is not None:
+                    raise table.refusal(entry, *of_beam)
     scale = parameters.pop(SCALE, None)
     for sample in campaign.samples.values():
         parameters |= {parameter.name: parameter for parameter in sample.own.values()}
@@ -358,7 +368,9 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
     raw = campaign.raw.efficiency if campaign.raw else None
     parts = raw.contributions if raw else None
     light_yield = read_light_yield(document, detector, own_scales=own_scales, parts=parts)
-    if own_scales and (sigma := detector.common_sigma):
+    # of all efficiencies that this detector has in common
+    sigma = math.hypot(detector.relative_sigma, detector.shared_sigma)
+    if own_scales and sigma:
         parameters[EFFICIENCY_FACTOR] = CampaignParameter(
             EFFICIENCY_FACTOR, 1.0, *_FACTOR_RANGE, prior=1.0, prior_sigma=sigma
         )
@@ -373,7 +385,21 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
 
 def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:
     """Refuse what no fit could determine, and a spectrum of several crystals."""
-    _refuse_scales_without_light(campaign)
+    # fitted scales of which no reading in use says anything
+    used = campaign.measurements.in_use
+    read = {campaign.parameter_of(r, SCALE) for r in used if not r.of_beam}
+    if SCALE in campaign.free and not read:
+        raise InputError(
+            "all readings in use are transmittances, which say nothing of the scale",
+            "add a reading of light, or hold it: [parameters.scale] with start = 1, fixed = true",
+            path=campaign.path,
+        )
+    for name in (SCALE, *(sample.named(SCALE) for sample in campaign.samples.values())):
+        if name in campaign.free and name not in read and name not in campaign.priors:
+            problem = f"no reading of light in use says anything of {name}"
+            whose = "samples have their own: " if name == SCALE else ""
+            mend = f"{whose}let one share it, or hold it with fixed = true"
+            raise InputError(problem, mend, path=campaign.path)
     if campaign.spectrum is not None:
         for sample in campaign.samples.values():
             if coefficients := sample.own.keys() & set(COEFFICIENTS):
@@ -383,30 +409,11 @@ def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:
     if campaign.ndf < 0:
         raise InputError(
             f"{counted(len(campaign.free), 'free parameter')} ({', '.join(campaign.free)}) but "
-            f"{counted(len(campaign.measurements.in_use), 'reading')} in use and "
+            f"{counted(len(used), 'reading')} in use and "
             f"{counted(len(campaign.priors), 'prior')}",
             "add readings or priors, or hold a parameter with fixed = true",
             path=campaign.path,
         )
-
-
-def _refuse_scales_without_light(campaign: Campaign) -> None:
-    """Refuse fitted scales of which no reading in use says anything."""
-    used = campaign.measurements.in_use
-    read = {campaign.parameter_of(r, SCALE) for r in used if not r.of_beam}
-    if SCALE in campaign.free and not read:
-        raise InputError(
-            "all readings in use are transmittances, which say nothing of the scale",
-            "add a reading of light, or hold it: [parameters.scale] with start = 1, fixed = true",
-            path=campaign.path,
-        )
-    scales = (SCALE, *(sample.named(SCALE) for sample in campaign.samples.values()))
-    for name in scales:
-        if name in campaign.free and name not in read and name not in campaign.priors:
-            problem = f"no reading of light in use says anything of {name}"
-            whose = "samples have their own: " if name == SCALE else ""
-            mend = f"{whose}let one share it, or hold it with fixed = true"
-            raise InputError(problem, mend, path=campaign.path)
 
 
 def _read_beam(
@@ -442,19 +449,6 @@ def _read_beam(
             raise table.refusal(BEAM_DIAMETER, *wrong)
         raise measurements.refusal(reading, None, *wrong)
     return beam
-
-
-def _refuse_ranges_of_beam(
-    document: TomlDocument, fitted: Iterable[str], values: Mapping[str, Value]
-) -> None:
-    """Refuse ranges of fitted beam parameters with values that no spectrophotometer has."""
-    for name in filter(BEAM_PARAMETERS.__contains__, fitted):
-        table = document.table(f"parameters.{name}")
-        for entry in ("start", "min", "max"):
-            if (value := table.number(entry)) is not None:
-                wrong = refused_of_beam(name, value) or too_wide({**values, name: value})
-                if wrong is not None:
-                    raise table.refusal(entry, *wrong)
 
 
 def _sibling(entries: TomlTable, name: str) -> Path:
@@ -526,16 +520,6 @@ def _folder(entries: TomlTable, trusted: bool) -> Path | None:
     return path
 
 
-def _read_effects(entries: TomlTable, campaign: Campaign) -> tuple[str, ...]:
-    """The effects that are switched on."""
-    names = with_new_names(entries.get("effects", []))
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise entries.refusal("effects", "effects is not a list of names", "write effects = []")
-    with said_by(partial(entries.refusal, "effects")):
-        _refuse_effects(names, campaign)
-    return tuple(names)
-
-
 def _refuse_effects(names: Sequence[str], campaign: Campaign) -> None:
     """Refuse effects that cannot be switched on, or not together."""
     for position, name in enumerate(names):
@@ -553,17 +537,6 @@ def _refuse_effects(names: Sequence[str], campaign: Campaign) -> None:
         raise InputError(f"{pair[0]} and {pair[1]} exclude each other", "remove one of the two")
 
 
-def _refuse_parameters_of_other_effects(document: TomlDocument, campaign: Campaign) -> None:
-    """Refuse a parameter whose effect is neither switched on nor in the scene, or the beam."""
-    effects = campaign.catalogue.values()
-    owners = {p.name: effect.name for effect in effects for p in effect.parameters}
-    for name in document.table("parameters"):
-        owner = owners.get(name)
-        if owner and owner not in campaign.effects and name not in campaign.values:
-            problem = f"{name} belongs to {owner}, which is neither switched on nor in the scene"
-            raise document.refusal(f"parameters.{name}", problem, f'write "{owner}" into effects')
-
-
 def _read_next(table: TomlTable, campaign: Campaign) -> dict[str, Any]:
     """``[next_measurements]``: lists of values by scene parameter, their error, their minutes."""
     entries: dict[str, Any] = {}
@@ -571,28 +544,23 @@ def _read_next(table: TomlTable, campaign: Campaign) -> dict[str, Any]:
         if name == schema.NEXT_SIGMA:
             entries[name] = number_within(table, name, schema.NEXT_ENTRIES)
         elif name == schema.NEXT_MINUTES:
-            entries[name] = _read_minutes(table, values, campaign.scene)
+            if not isinstance(values, dict):
+                mend = f"write {name} = {{ n_gap = 20 }}"
+                raise table.refusal(name, f"{name} is not a table", mend)
+            for of, minutes in values.items():
+                if of not in campaign.scene.parameters:
+                    problem = f"{name}: {of} is not a parameter of {campaign.scene.path.name}"
+                    raise table.refusal(name, problem, did_you_mean(of, campaign.scene.parameters))
+                if not is_plain_number(minutes) or not 0.0 <= minutes < math.inf:
+                    problem = f"{name}: {of} = {minutes} is not a number of minutes"
+                    raise table.refusal(name, problem, f"write {of} = 20")
+            entries[name] = {of: float(minutes) for of, minutes in values.items()}
         elif (wrong := _wrong_next(name, values, campaign)) is not None:
             raise table.refusal(name, *wrong)
         else:
             number = str if name == COUNTED else float
             entries[name] = list(dict.fromkeys(map(number, values)))
     return entries
-
-
-def _read_minutes(table: TomlTable, minutes: Any, scene: SceneFile) -> dict[str, float]:
-    """Minutes by scene parameter."""
-    if not isinstance(minutes, dict):
-        mend = f"write {schema.NEXT_MINUTES} = {{ n_gap = 20 }}"
-        raise table.refusal(schema.NEXT_MINUTES, f"{schema.NEXT_MINUTES} is not a table", mend)
-    for name, value in minutes.items():
-        if name not in scene.parameters:
-            problem = f"{schema.NEXT_MINUTES}: {name} is not a parameter of {scene.path.name}"
-            raise table.refusal(schema.NEXT_MINUTES, problem, did_you_mean(name, scene.parameters))
-        if not is_plain_number(value) or not 0.0 <= value < math.inf:
-            problem = f"{schema.NEXT_MINUTES}: {name} = {value} is not a number of minutes"
-            raise table.refusal(schema.NEXT_MINUTES, problem, f"write {name} = 20")
-    return {name: float(value) for name, value in minutes.items()}
 
 
 def _wrong_next(name: str, values: Any, campaign: Campaign) -> tuple[str, str] | None:

@@ -23,7 +23,7 @@ from mcrim_mitsuba.campaign.known_physics import CRYSTAL_INDEX, INDEX, material_
 from mcrim_mitsuba.campaign.measurements import ENERGY, KIND, SAMPLE, SHARED, Measurements
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.raw_data import put_numbers, table_in
-from mcrim_mitsuba.campaign.reduction import RawData, ReducedReading
+from mcrim_mitsuba.campaign.reduction import RawData
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import attributes, beside, inside, read_text, write_text
@@ -32,7 +32,6 @@ from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.effects.effect import OLD_NAMES
 from mcrim_mitsuba.laboratory.calibration import ChannelCalibration
 from mcrim_mitsuba.laboratory.light_yield import SCALE as TUBE_SCALE
-from mcrim_mitsuba.optics.absorption import Absorption
 
 _LIMIT_MB = 1
 #: Digits of a SHA-256 that are shown where all of them would be in the way.
@@ -358,12 +357,43 @@ def write_plain(campaign: Campaign, target: Path) -> None:
 
 
 def to_json(raw: RawData) -> dict[str, Any]:
-    """Every step for JSON."""
+    """Every step for JSON: where readings come from, and what each orientation absorbs."""
+    of_peak = (
+        "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high warnings "
+        "**fitted_below"
+    )
+    of_mean = "scatter_sigma internal_sigma chi2 ndf p_value consistent"
+    absorption: dict[str, Any] = {}
+    if raw.absorption is not None:
+        files = (curve.name for curve in raw.absorption.spectra)
+        absorption = {
+            **attributes(raw.absorption, "alpha_abs_per_cm sigma contributions"),
+            "orientations": [
+                {"file": file, "alpha_abs_per_cm": alpha}
+                for file, alpha in zip_longest(files, raw.absorption.each_per_cm)
+            ],
+            **attributes(
+                raw.absorption,
+                "spread_orientations_per_cm spread_band_per_cm internal_transmittance "
+                "internal_transmittance_sigma n thickness_mm",
+            ),
+        }
     return {
-        "readings": [_reading_json(reduced) for reduced in raw.readings.values()],
+        "readings": [
+            {
+                **attributes(reduced.reading, "label signal sigma use"),
+                **attributes(reduced.combined, of_mean),
+                "mountings": [
+                    attributes(mounting, "file line=row.line use consistent")
+                    | {"peak": mounting.peak and attributes(mounting.peak, of_peak)}
+                    for mounting in reduced.mountings
+                ],
+            }
+            for reduced in raw.readings.values()
+        ],
         "detector_efficiency": raw.efficiency
         and attributes(raw.efficiency, "value sigma contributions spread"),
-        "absorption": raw.absorption and _absorption_json(raw.absorption),
+        "absorption": absorption or None,
         "source_depth": raw.source_depth
         and attributes(
             raw.source_depth,
@@ -388,40 +418,5 @@ def calibration_json(calibration: ChannelCalibration) -> dict[str, Any]:
             calibration,
             "pedestal range_ratio range_ratio_sigma nonlinearity nonlinearity_sigma per_channel "
             "scale_sigma offset_sigma",
-        ),
-    }
-
-
-def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
-    """Where a reading comes from: every histogram with its peak, and their mean."""
-    of_peak = (
-        "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high warnings "
-        "**fitted_below"
-    )
-    mountings = [
-        attributes(mounting, "file line=row.line use consistent")
-        | {"peak": mounting.peak and attributes(mounting.peak, of_peak)}
-        for mounting in reduced.mountings
-    ]
-    return {
-        **attributes(reduced.reading, "label signal sigma use"),
-        **attributes(reduced.combined, "scatter_sigma internal_sigma chi2 ndf p_value consistent"),
-        "mountings": mountings,
-    }
-
-
-def _absorption_json(absorption: Absorption) -> dict[str, Any]:
-    """Absorption by the transmittance, of every orientation and of all."""
-    files = (curve.name for curve in absorption.spectra)
-    return {
-        **attributes(absorption, "alpha_abs_per_cm sigma contributions"),
-        "orientations": [
-            {"file": file, "alpha_abs_per_cm": alpha}
-            for file, alpha in zip_longest(files, absorption.each_per_cm)
-        ],
-        **attributes(
-            absorption,
-            "spread_orientations_per_cm spread_band_per_cm internal_transmittance "
-            "internal_transmittance_sigma n thickness_mm",
         ),
     }

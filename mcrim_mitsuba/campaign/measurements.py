@@ -322,8 +322,7 @@ class _Cells(dict[str, str]):
     @property
     def numbers(self) -> dict[str, str]:
         """Those of the cells that are numbers."""
-        cells = self.items()
-        return {name: cell for name, cell in cells if name not in _TEXTS and is_number(cell)}
+        return {name: cell for name, cell in self.items() if name not in _TEXTS and is_number(cell)}
 
     def place(self, name: str) -> dict[str, Any]:
         return {"path": self.path, "line": self.line, "column": name}

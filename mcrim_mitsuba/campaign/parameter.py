@@ -274,11 +274,6 @@ class DetectorTerms:
         }
 
     @property
-    def common_sigma(self) -> float:
-        """Relative standard error of all efficiencies that this detector has in common."""
-        return math.hypot(self.relative_sigma, self.shared_sigma)
-
-    @property
     def factor(self) -> float:
         """What is counted of light inside the window, over the efficiency that a campaign gives."""
         return (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -112,8 +112,8 @@ class RawData:
     material: str | None
     #: What stands in the place of raw entries, by its dotted name in the campaign, such as
     #: ``parameters.alpha_abs_per_cm.prior``.
-    numbers: dict[str, float]
-    files: tuple[RawFile, ...]
+    numbers: dict[str, float] = field(default_factory=dict)
+    files: tuple[RawFile, ...] = ()
     #: Of a digitiser's channels; None where histograms are of photoelectrons.
     calibration: ChannelCalibration | None = None
 
@@ -237,12 +237,7 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
         place, _ = peaks[outlier]
         mountings[place] = replace(mountings[place], consistent=False)
     reading = replace(
-        mountings[0].row,
-        signal=combined.mean,
-        sigma=sigma,
-        use=used,
-        histogram=None,
-        window=None,
+        mountings[0].row, signal=combined.mean, sigma=sigma, use=used, histogram=None, window=None
     )
     return ReducedReading(reading, tuple(mountings), combined, noise)
 
@@ -298,14 +293,7 @@ def reduce_raw_data(
     names.append(document.table(f"parameters.{ALPHA_ABS}").get("n"))
     material = next((n for n in names if isinstance(n, str) and is_known(n)), None)
     raw = RawData(
-        reduced,
-        efficiency,
-        absorption,
-        source_depth,
-        material=material,
-        numbers={},
-        files=(),
-        calibration=calibration,
+        reduced, efficiency, absorption, source_depth, material=material, calibration=calibration
     )
     raw = replace(raw, numbers=_numbers(document, raw), files=tuple(_files(raw)))
     return raw_data.with_numbers(document, raw.numbers), measurements, raw

@@ -17,15 +17,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from mcrim_mitsuba.campaign.entries import (
-    EACH,
-    EACH_VALUE,
-    NONE,
-    SIGMA,
-    TOLERANCE,
-    TOLERANCES,
-    choice,
-)
+from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import did_you_mean
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, SOURCE_Z, THIN, Value, judge, unit_of
@@ -142,22 +134,22 @@ def read_tolerances(
     InputError, with the line, if a name is no number of the scene or is a parameter of the
     campaign, or where the uncertainty is larger than the number can be.
     """
-    table, tolerances = document.table(TOLERANCES), list[Tolerance]()
+    table, tolerances = document.table(schema.TOLERANCES), list[Tolerance]()
     elsewhere = {*document.table("parameters"), ALPHA_SCAT, ALPHA_ABS}
     rows = [{**scene.parameters, **reading.parameters} for reading in measurements.readings]
     room = _room(rows)
     for name in table:
         _refuse_name(table, name, scene, elsewhere)
     for name, own in scene.parameters.items():
-        usual = NONE not in table and name not in elsewhere and name not in of_effects
+        usual = schema.NONE not in table and name not in elsewhere and name not in of_effects
         if not isinstance(own, float) or not (usual or name in table):
             continue
-        each, sigma = EACH_VALUE, table.get(name)
+        each, sigma = schema.EACH_VALUE, table.get(name)
         if isinstance(sigma, dict):
-            entry = document.table(f"{TOLERANCES}.{name}", TOLERANCE)
-            each, sigma = choice(entry, EACH, TOLERANCE) or each, entry.number(SIGMA)
-            if sigma is None:
-                raise table.refusal(name, f"{name} has no {SIGMA}", f"write {name} = 0.01")
+            entry = document.table(f"{schema.TOLERANCES}.{name}", schema.TOLERANCE)
+            each = schema.choice(entry, schema.EACH, schema.TOLERANCE) or each
+            if (sigma := entry.number(schema.SIGMA)) is None:
+                raise table.refusal(name, f"{name} has no {schema.SIGMA}", f"write {name} = 0.01")
         elif name in table:
             sigma = table.known_number(name)
         # where the column varies each value is a part; the index of air is none
@@ -169,7 +161,7 @@ def read_tolerances(
             for part in parts
         ]
         of_parts = [tolerance for tolerance in found if tolerance is not None]
-        if len(of_rows) > 1 and each == EACH_VALUE:
+        if len(of_rows) > 1 and each == schema.EACH_VALUE:
             tolerances += of_parts
         elif of_parts:
             tolerances.append(_all_alike(of_parts))
@@ -202,7 +194,7 @@ def _all_alike(parts: Sequence[Tolerance]) -> Tolerance:
 def _refuse_name(table: TomlTable, name: str, scene: SceneFile, known: Collection[str]) -> None:
     """Refuse what is no number of the scene, and what has its error elsewhere."""
     numbers = [n for n, value in scene.parameters.items() if isinstance(value, float)]
-    if name == NONE:
+    if name == schema.NONE:
         if table[name] is not True:
             mend = "write none = true: what is not named is exact; or remove it"
             raise table.refusal(name, "none is not true", mend)
@@ -212,7 +204,7 @@ def _refuse_name(table: TomlTable, name: str, scene: SceneFile, known: Collectio
         raise table.refusal(name, f"{name} belongs among the parameters", mend)
     if name not in scene.parameters:
         problem = f"{name} is not a parameter of {scene.path.name}"
-        raise table.refusal(name, problem, did_you_mean(name, [*numbers, NONE]))
+        raise table.refusal(name, problem, did_you_mean(name, [*numbers, schema.NONE]))
     if name not in numbers:
         raise table.refusal(name, f"{name} is not a number", f"remove {name}")
 

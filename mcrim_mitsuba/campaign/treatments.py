@@ -10,15 +10,15 @@ paper or a mirror, which is clear as air in rows that are without it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.campaign import entries as schema
-from mcrim_mitsuba.campaign.measurements import Measurements
+from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import did_you_mean, said_by
-from mcrim_mitsuba.core.numbers import COEFFICIENTS
+from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.effects.effect import Effect
@@ -76,10 +76,14 @@ def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
     Raises InputError where a tie cannot be, where no row has an effect, and where an effect that
     shares its size cannot be taken out of a scene.
     """
-    _refuse_idle(campaign.measurements)
+    switches, readings = campaign.measurements.switches, campaign.measurements.readings
+    for name in switches:
+        if all(name in reading.without for reading in readings):
+            problem = f"{name} is switched on in no row"
+            mend = "write 1 into the rows that have it, or remove the column"
+            raise campaign.measurements.refusal(readings[0], name, problem, mend)
     campaign = _with_clear_sheets(_with_bare_faces(campaign))
     ties = _read_ties(document, campaign)
-    switches = campaign.measurements.switches
     if not ties and not switches:
         return campaign
     tied = {*ties, *ties.values()}
@@ -107,18 +111,21 @@ def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
         for name in switches
         if name in campaign.catalogue and campaign.catalogue[name].is_in(scene)
     }
-    readings = []
-    for reading in campaign.measurements.readings:
-        off = {n: value for name in reading.without for n, value in out.get(name, {}).items()}
-        readings.append(replace(reading, parameters={**reading.parameters, **off}))
-    return replace(
-        campaign,
-        scene=scene,
-        measurements=replace(campaign.measurements, readings=tuple(readings)),
-        effects=tuple(name for name in campaign.effects if name not in treatments),
-        treatments=treatments,
-        ties=ties,
+    campaign = _as_measured(
+        replace(campaign, scene=scene),
+        lambda r: {n: value for name in r.without for n, value in out.get(name, {}).items()},
     )
+    effects = tuple(name for name in campaign.effects if name not in treatments)
+    return replace(campaign, effects=effects, treatments=treatments, ties=ties)
+
+
+def _as_measured(campaign: Campaign, of_row: Callable[[Reading], dict[str, Value]]) -> Campaign:
+    """The campaign with further scene parameters of each of its rows."""
+    measurements = campaign.measurements
+    readings = tuple(
+        replace(row, parameters={**row.parameters, **of_row(row)}) for row in measurements.readings
+    )
+    return replace(campaign, measurements=replace(measurements, readings=readings))
 
 
 def _with_bare_faces(campaign: Campaign) -> Campaign:
@@ -148,20 +155,19 @@ def _with_bare_faces(campaign: Campaign) -> Campaign:
             set_part(editor, [wrapping], "without", xml)
         else:
             editor.set_attribute(part, "value", f"${parameter}")
-    readings = []
-    for reading in campaign.measurements.readings:
-        values = dict(reading.parameters)
-        off = [switched[n] for n in reading.without if n in switched]
+
+    def bare_faces(row: Reading) -> dict[str, Value]:
+        values: dict[str, Value] = {}
+        off = [switched[n] for n in row.without if n in switched]
         for name, (parameter, usual) in parameters.items() if off else ():
             bare = [usual] if usual != "none" else []
             bare += [faces for of, faces in off if of == name]
             words = dict.fromkeys(" ".join(bare).replace(",", " ").split())
             values[parameter] = " ".join(words) or "none"
-        readings.append(replace(reading, parameters=values))
-    return replace(
-        campaign,
-        scene=campaign.scene.edited(editor.finished()),
-        measurements=replace(campaign.measurements, readings=tuple(readings)),
+        return values
+
+    return _as_measured(
+        replace(campaign, scene=campaign.scene.edited(editor.finished())), bare_faces
     )
 
 
@@ -182,24 +188,10 @@ def _with_clear_sheets(campaign: Campaign) -> Campaign:
         editor.insert_after(editor.root.elements[editor.root.elements.index(shape) - 1], before)
         editor.replace(worn, f'<ref id="${name}_surface"/>')
         editor.declare(f"{name}_surface", there, f"What {name} wears: {name}_clear takes it off")
-    readings = []
-    for reading in campaign.measurements.readings:
-        off = {f"{name}_surface": f"{name}_clear" for name in sheets if name in reading.without}
-        readings.append(replace(reading, parameters={**reading.parameters, **off}))
-    return replace(
-        campaign,
-        scene=campaign.scene.edited(editor.finished()),
-        measurements=replace(campaign.measurements, readings=tuple(readings)),
+    return _as_measured(
+        replace(campaign, scene=campaign.scene.edited(editor.finished())),
+        lambda row: {f"{n}_surface": f"{n}_clear" for n in sheets if n in row.without},
     )
-
-
-def _refuse_idle(measurements: Measurements) -> None:
-    """Refuse a column that switches an effect on in no row."""
-    for name in measurements.switches:
-        if all(name in reading.without for reading in measurements.readings):
-            problem = f"{name} is switched on in no row"
-            mend = "write 1 into the rows that have it, or remove the column"
-            raise measurements.refusal(measurements.readings[0], name, problem, mend)
 
 
 def _read_ties(document: TomlDocument, campaign: Campaign) -> dict[str, str]:

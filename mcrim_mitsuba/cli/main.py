@@ -30,8 +30,7 @@ class _Commands(click.Group):
     def get_command(self, ctx, cmd_name):
         if cmd_name not in _HOME_OF:
             return None
-        home = importlib.import_module(f"mcrim_mitsuba.cli.{_HOME_OF[cmd_name]}")
-        return getattr(home, cmd_name)
+        return getattr(importlib.import_module(f"mcrim_mitsuba.cli.{_HOME_OF[cmd_name]}"), cmd_name)
 
     def resolve_command(self, ctx, args):
         alike = closest(args[0], _HOME_OF) if args and args[0] not in _HOME_OF else None

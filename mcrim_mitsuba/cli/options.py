@@ -352,8 +352,7 @@ def trust_effects(where: str):
 
 def _reads_campaigns(argument: Callable) -> Callable:
     """An argument, with ``--trust-effects`` for `showing.read_campaign`."""
-    trust = trust_effects("the campaign's effects_folder")
-    return lambda function: argument(trust(function))
+    return lambda function: argument(trust_effects("the campaign's effects_folder")(function))
 
 
 _PATH = click.Path(path_type=str)

@@ -20,7 +20,7 @@ from mcrim_mitsuba.output.registry import VerbResult
 from mcrim_mitsuba.runs.array_job import DEFAULT_FOLDER, MergingExecutor, UnitFolder
 from mcrim_mitsuba.runs.cache import other_version
 from mcrim_mitsuba.runs.executors import use_executor
-from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.scene.scene_file import read_scene
 
 _MOST_NAMED = 12
 
@@ -44,7 +44,13 @@ def merge(context, folder) -> int:
     if verb is None or all(option.name != "unit" for option in verb.params):
         problem = "the folder holds a command that has no parts"
         raise InputError(problem, "remove it and run the parts again", path=units.path)
-    _refuse_missing(units, command)
+    if missing := units.missing():
+        named, parts = ", ".join(map(str, missing[:_MOST_NAMED])), command["parts"]
+        named += ", ..." if len(missing) > _MOST_NAMED else ""
+        words = f"{' '.join(command['arguments'])} --unit {missing[0]}/{parts}"
+        problem = f"{len(missing)} of {parts} parts are not done: {named}"
+        mend = f"run them first: mcrim {words} --units {units.path}"
+        raise InputError(problem, mend, path=units.path)
     if (wrong := other_version(command["versions"])) is not None:
         problem = f"the parts were made with {wrong[0]} {wrong[1]}, here is {wrong[2]}"
         mend = "merge with the same versions, or run the parts again"
@@ -59,17 +65,6 @@ def merge(context, folder) -> int:
         ) from None
     with use_executor(MergingExecutor(units)):
         return mcrim.main(command["arguments"], prog_name="mcrim", standalone_mode=False)
-
-
-def _refuse_missing(units: UnitFolder, command: dict) -> None:
-    """Refuse to merge an array job before all of its parts are done."""
-    if missing := units.missing():
-        named, parts = ", ".join(map(str, missing[:_MOST_NAMED])), command["parts"]
-        named += ", ..." if len(missing) > _MOST_NAMED else ""
-        words = f"{' '.join(command['arguments'])} --unit {missing[0]}/{parts}"
-        problem = f"{len(missing)} of {parts} parts are not done: {named}"
-        mend = f"run them first: mcrim {words} --units {units.path}"
-        raise InputError(problem, mend, path=units.path)
 
 
 @click.command(short_help="Reproduce the article: its numbers beside ours.")
@@ -152,7 +147,13 @@ def add(effect, scene, path, values, folder) -> None:
     new = old.edited(text)
     if path not in STDOUT:
         refuse_to_replace({Path(path): text})
-        _refuse_place(new, Path(path))
+        named = [str(e.get("filename") or e.get("value")) for e, _ in new.naming()]
+        named += [file.name for file in new.included]
+        elsewhere = Path(path).resolve().parent != new.path.resolve().parent
+        for name in named if elsewhere else ():
+            if not Path(name).is_absolute():
+                problem = f"the scene names {name}, which is not found from another folder"
+                raise InputError(problem, f"write the new scene into {new.path.parent}", path=path)
     write_text(path, text)
     if path not in STDOUT:
         read_scene(path)
@@ -163,15 +164,3 @@ def add(effect, scene, path, values, folder) -> None:
         if included not in new.included:
             screen.say(f"note: {included.name}, which the scene included, is now part of it")
     screen.line(f"written to {path}; now let  mcrim check {path}  look at it")
-
-
-def _refuse_place(scene: SceneFile, path: Path) -> None:
-    """Refuse a folder from which the scene's files are not found."""
-    if path.resolve().parent == scene.path.resolve().parent:
-        return
-    named = [str(e.get("filename") or e.get("value")) for e, _ in scene.naming()]
-    named += [file.name for file in scene.included]
-    for name in named:
-        if not Path(name).is_absolute():
-            problem = f"the scene names {name}, which is not found from another folder"
-            raise InputError(problem, f"write the new scene into {scene.path.parent}", path=path)

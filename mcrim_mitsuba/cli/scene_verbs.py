@@ -408,8 +408,7 @@ def render(scene, picture, overrides, samples, run, json_file) -> None:
     showing.refuse_places(json_file, [file], written={"--output": (picture, (".png",))})
     start = time.monotonic()
     with terminal.photon_progress() as report:
-        run = replace(run, progress=report)
-        rendering = mcrim.render(file, samples=samples, run=run)
+        rendering = mcrim.render(file, samples=samples, run=replace(run, progress=report))
     rendering.save(picture)
     seconds = time.monotonic() - start
     terminal.write_json(json_file, rendering.document(picture, seconds))

@@ -121,8 +121,7 @@ class Screen(Console):
     def say(self, line: str) -> None:
         """One line that must be seen: on standard error where standard output is a file's."""
         # A new one: this one keeps everything else off standard error.
-        place = Screen(stderr=True, highlight=False) if self.stderr else self
-        place.line(line)
+        (Screen(stderr=True, highlight=False) if self.stderr else self).line(line)
 
     def line(  # type: ignore[override]  # rich asks only the console of a Live for empty lines
         self, text: str, style: str = ""
@@ -376,8 +375,7 @@ def _open_streams() -> None:
         if codecs.lookup(encoding).name == "ascii":  # of the locale POSIX; it would end at a ±
             encoding = "utf-8"
         binary, by_line = open(number, "wb", closefd=False), number == 2 or os.isatty(number)
-        stream = _Stream(binary, encoding, "backslashreplace", line_buffering=by_line)
-        setattr(sys, name, stream)
+        setattr(sys, name, _Stream(binary, encoding, "backslashreplace", line_buffering=by_line))
     if problem is not None:
         raise problem
 

@@ -200,8 +200,7 @@ def background_noise(histogram: Histogram, peak: Peak) -> Array:
     assert calibration.background is not None
     of_run = calibration.background.counts
     per_bin = np.zeros(len(histogram.photons))
-    inside = (histogram.photons >= peak.low) & (histogram.photons <= peak.high)
-    per_bin[inside] = peak.per_count
+    per_bin[(histogram.photons >= peak.low) & (histogram.photons <= peak.high)] = peak.per_count
     join = round(float(np.diff(histogram.photons[:2])[0]) / calibration.per_channel)
     per_channel = np.repeat(per_bin, join)
     per_channel = np.pad(per_channel, (0, len(counts) - len(per_channel)))
@@ -233,7 +232,13 @@ def calibrated(
     Raises InputError if it has no pedestal where it should, or does not go with the background.
     """
     spectrum = with_live_time(spectrum, calibration.live_time_s, calibration.dead_time_us)
-    pedestal = calibration.pedestal or _own_pedestal(spectrum)
+    if (pedestal := calibration.pedestal) is None:  # its own, below its main peak
+        pedestal = fit_pedestal(spectrum.channels, spectrum.counts)
+        main = main_peak(spectrum.channels, spectrum.counts)
+        if pedestal is None or main is None or main.centroid - main.width < pedestal.position:
+            problem = "no pedestal stands out at the low end"
+            mend = 'give it under [calibration]: pedestal = 120, or a run: pedestal = "dark.csv"'
+            raise InputError(problem, mend, path=spectrum.path)
     counts, background, ratio = spectrum.counts, None, 0.0
     if calibration.background is not None:
         ratio = _live_times(spectrum, calibration.background)
@@ -265,17 +270,6 @@ def calibrated(
         variances=variances,
         background=None if background is None else joined(background),
     )
-
-
-def _own_pedestal(spectrum: ChannelSpectrum) -> Pedestal:
-    """The pedestal in a spectrum of light, below its main peak."""
-    pedestal = fit_pedestal(spectrum.channels, spectrum.counts)
-    main = main_peak(spectrum.channels, spectrum.counts)
-    if pedestal is None or main is None or main.centroid - main.width < pedestal.position:
-        problem = "no pedestal stands out at the low end"
-        mend = 'give it under [calibration]: pedestal = 120, or a run: pedestal = "dark.csv"'
-        raise InputError(problem, mend, path=spectrum.path)
-    return pedestal
 
 
 def _live_times(spectrum: ChannelSpectrum, background: ChannelSpectrum) -> float:

@@ -178,11 +178,18 @@ def _order(values: Array) -> float:
 
 def refuse_other_columns(table: DataTable) -> None:
     """Refuse two columns that are swapped, or those of a spectrum, a trace, a list of events."""
-    _refuse_swapped(table)
+    steps = np.diff(table.values, axis=0)
+    even = np.all((steps[:1] > 0) & np.isclose(steps, steps[:1]), axis=0)
+    if len(steps) > 1 and even[1] and not even[0]:
+        problem = "the columns are swapped: the second one ascends evenly, as bins do"
+        raise InputError(problem, "write bins first, then counts", path=table.path)
     if table.names is None:
         return
     (bins, events), (unit, other) = table.names, table.units
     first, second = bins.lower(), events.lower()
+    if re.match("counts?|entries", first) and _CHANNELS.search(second):
+        problem = f"the names are swapped: {bins}, {events}, above bins and counts"
+        raise InputError(problem, "name the bins first, then the counts", path=table.path)
     if _NO_BINS.search(first) or unit in _NO_BIN_UNITS:
         problem = f"the first column, {bins}, is not what an event gave"
         mend = "write bin centres in photons per event, and how many events each bin has"
@@ -196,22 +203,6 @@ def refuse_other_columns(table: DataTable) -> None:
             f"keep the column {events} alone, or write bin centres first and then counts",
             path=table.path,
         )
-
-
-def _refuse_swapped(table: DataTable) -> None:
-    """Refuse counts before bins, by their numbers or by their names."""
-    steps = np.diff(table.values, axis=0)
-    even = np.all((steps[:1] > 0) & np.isclose(steps, steps[:1]), axis=0)
-    named = False
-    if table.names is not None:
-        first, second = (name.lower() for name in table.names)
-        named = bool(re.match("counts?|entries", first) and _CHANNELS.search(second))
-    if len(steps) > 1 and even[1] and not even[0]:
-        problem = "the columns are swapped: the second one ascends evenly, as bins do"
-        raise InputError(problem, "write bins first, then counts", path=table.path)
-    if named:
-        problem = f"the names are swapped: {', '.join(table.names or ())}, above bins and counts"
-        raise InputError(problem, "name the bins first, then the counts", path=table.path)
 
 
 def refuse_numbered(table: DataTable) -> None:

@@ -58,8 +58,10 @@ def read_channels(path: str | Path) -> ChannelSpectrum:
     suffix = path.suffix.lower()
     if suffix not in INSTRUMENTS:
         read = read_histogram(path, channels=True)
+        times = [match[1] for words in read.comments if (match := _LIVE_TIME.search(words))]
+        live_time_s = _checked_time(path, float(times[0])) if times else None
         spectrum = ChannelSpectrum(
-            path, read.comments, read.photons, read.counts, live_time_s=_said(path, read.comments)
+            path, read.comments, read.photons, read.counts, live_time_s=live_time_s
         )
     elif suffix == _ROOT:
         spectrum = _of_root(path, named)
@@ -68,12 +70,6 @@ def read_channels(path: str | Path) -> ChannelSpectrum:
     if not spectrum.counts.any():
         raise InputError("all channels are empty", "name another file", path=path)
     return spectrum
-
-
-def _said(path: Path, comments: tuple[str, ...]) -> float | None:
-    """The live time that a text's comments say, s."""
-    times = [match[1] for words in comments if (match := _LIVE_TIME.search(words))]
-    return _checked_time(path, float(times[0])) if times else None
 
 
 def _checked_time(path: Path, live_time_s: float) -> float:
@@ -143,8 +139,7 @@ def _of_root(path: Path, wanted: str) -> ChannelSpectrum:
     if len(counts) < _FEWEST_CHANNELS or not np.allclose(steps, steps[0]):
         problem = f"the histogram {name} has {len(counts)} bins, or bins of several widths"
         raise InputError(problem, f"give {_FEWEST_CHANNELS} of one width at least", path=path)
-    centres = 0.5 * (edges[1:] + edges[:-1])
-    return ChannelSpectrum(path, (name,), centres, _whole(path, counts))
+    return ChannelSpectrum(path, (name,), 0.5 * (edges[1:] + edges[:-1]), _whole(path, counts))
 
 
 def _whole(path: Path, counts: Array) -> Array:

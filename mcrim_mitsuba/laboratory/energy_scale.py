@@ -23,7 +23,7 @@ from mcrim_mitsuba.laboratory.calibration import (
     photons_of,
 )
 from mcrim_mitsuba.laboratory.histogram import Histogram, clear_peaks
-from mcrim_mitsuba.laboratory.peak_band import Peak, Width, WidthParts, width_parts
+from mcrim_mitsuba.laboratory.peak_band import Peak, Width, WidthParts, width_of, width_parts
 
 #: Peaks among which lines are searched, by their events.
 _MOST_PEAKS = 12
@@ -134,6 +134,4 @@ def intrinsic_width(lines: Sequence[Line]) -> tuple[Width, float] | None:
     (counted, intrinsic), covariance = np.polyfit(
         per_photon, squares, 1, w=1.0 / sigmas, cov="unscaled"
     )
-    root, sigma = math.sqrt(max(intrinsic, 0.0)), math.sqrt(covariance[1, 1])
-    # near zero the error is that of the square
-    return Width(FWHM * root, FWHM * sigma / max(2.0 * root, math.sqrt(sigma))), float(counted)
+    return width_of(max(intrinsic, 0.0), math.sqrt(covariance[1, 1])), float(counted)

@@ -167,7 +167,10 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
     errors = np.array(
         [[number.relative.get(origin, 0.0) for origin in origins] for number in values]
     )
-    covariance = _for_weights(errors)
+    # (values, values), shared up to the smaller one
+    size, sign = np.abs(errors), np.sign(errors)
+    shared = np.minimum(size[:, None, :], size[None, :, :]) ** 2
+    covariance = (sign[:, None, :] * sign[None, :, :] * shared).sum(axis=2)
     largest = covariance.max() or 1.0
     root = np.linalg.cholesky(covariance + _RIDGE * largest * np.eye(len(values)))
     # minimises w C w for w >= 0 and sum 1: the multiplier of the sum is a common factor
@@ -181,23 +184,13 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
         pulls = solve_triangular(root, [number.value / mean - 1 for number in values], lower=True)
         chi2 = float(pulls @ pulls)
     statistical, systematic = (
-        {origin: part for origin, part in sigma.items() if origin in of_kind}
-        for of_kind in (
-            {origin for number in values for origin in number.statistical},
-            {origin for number in values for origin in number.systematic},
-        )
+        {o: part for o, part in sigma.items() if any(o in getattr(n, kind) for n in values)}
+        for kind in ("statistical", "systematic")
     )
     p_value = None if chi2 is None else float(chdtrc(ndf, chi2))
     return CommonValue(
         Uncertain(mean, statistical, systematic), weights, chi2, ndf, p_value=p_value
     )
-
-
-def _for_weights(errors: Array) -> Array:
-    """(values, values) covariance from (values, origins) errors, shared up to the smaller one."""
-    size, sign = np.abs(errors), np.sign(errors)
-    shared = np.minimum(size[:, None, :], size[None, :, :]) ** 2
-    return (sign[:, None, :] * sign[None, :, :] * shared).sum(axis=2)
 
 
 # The error budget: every contribution, what kind it is, and what would reduce it.

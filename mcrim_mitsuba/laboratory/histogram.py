@@ -183,8 +183,7 @@ _UNEVEN = 0.01
 def _sorted_into_bins(events: Array, width: float) -> tuple[Array, Array]:
     """Centres and counts of bins of one width, the first about the lowest number."""
     lowest = float(events.min())
-    numbers = np.floor((events - lowest) / width + 0.5).astype(int)
-    counts = np.bincount(numbers).astype(float)
+    counts = np.bincount(np.floor((events - lowest) / width + 0.5).astype(int)).astype(float)
     return lowest + width * np.arange(len(counts), dtype=float), counts
 
 
@@ -280,7 +279,13 @@ def read_histogram(path: str | Path, *, channels: bool = False) -> Histogram:
     if columns > 2:
         mend = "keep the bin centres and the counts"
         raise table.refusal(0, None, f"{columns} columns, not 2", mend)
-    _refuse_huge(table)
+    # no sum of their squares could hold larger numbers
+    limits = zip(table.values.T, (_LARGEST_CENTRE, _MOST_COUNTS), strict=False)
+    for column, (values, limit) in enumerate(limits):
+        bad = np.flatnonzero(np.abs(values) > limit)
+        if len(bad):
+            problem = f"{values[bad[0]]:g} is too large for a histogram"
+            raise table.refusal(int(bad[0]), column, problem, f"write numbers up to {limit:g}")
     if columns == 1 and counts_alone(table):
         numbered = np.column_stack([np.arange(len(table.values)), table.values])
         if not channels:
@@ -293,17 +298,6 @@ def read_histogram(path: str | Path, *, channels: bool = False) -> Histogram:
     else:
         refuse_uncalibrated(table, photons, counts)
     return Histogram(table.path, table.comments, photons, counts)
-
-
-def _refuse_huge(table: DataTable) -> None:
-    """Refuse numbers so large that no sum of their squares could hold them."""
-    for column, (values, limit) in enumerate(
-        zip(table.values.T, (_LARGEST_CENTRE, _MOST_COUNTS), strict=False)
-    ):
-        bad = np.flatnonzero(np.abs(values) > limit)
-        if len(bad):
-            problem = f"{values[bad[0]]:g} is too large for a histogram"
-            raise table.refusal(int(bad[0]), column, problem, f"write numbers up to {limit:g}")
 
 
 def _checked(table: DataTable) -> tuple[Array, Array]:

@@ -320,15 +320,15 @@ def width_parts(peak: Peak, source: str, rms: float, rms_sigma: float) -> WidthP
     sigma = math.hypot(by_width, by_centroid - of_count, of_place)
     return WidthParts(
         source,
-        _width(total, math.hypot(by_width, by_centroid)),
-        _width(1.0 / n, of_count),
+        width_of(total, math.hypot(by_width, by_centroid)),
+        width_of(1.0 / n, of_count),
         Width(FWHM * rms, FWHM * rms_sigma),
-        rest=_width(max(rest, 0.0), sigma),
+        rest=width_of(max(rest, 0.0), sigma),
         excess=max(-rest, 0.0) / sigma,
     )
 
 
-def _width(variance: float, sigma: float) -> Width:
+def width_of(variance: float, sigma: float) -> Width:
     """The width of a relative variance and its error; near zero that of the square."""
     root = math.sqrt(variance)
     return Width(FWHM * root, FWHM * sigma / max(2.0 * root, math.sqrt(sigma)))

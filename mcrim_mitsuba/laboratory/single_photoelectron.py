@@ -132,10 +132,14 @@ def fit_pedestal(channels: Array, counts: Array) -> Pedestal | None:
     sigma = width
     for _ in range(_FITS):
         near = (channels > position - _BELOW * width) & (channels < position + _ABOVE * width)
-        if near.sum() < _FEWEST_BINS:
-            return _narrow_pedestal(channels, counts, position, max(width, step))
-        events = counts[near].sum()
-        start = np.array([events, position, width, 0.0, 0.0])
+        if near.sum() < _FEWEST_BINS:  # it is of a few bins: their mean
+            width = max(width, step)
+            near = np.abs(channels - position) <= _BELOW * width
+            mean = float(np.average(channels[near], weights=counts[near]))
+            spread = math.sqrt(np.average((channels[near] - mean) ** 2, weights=counts[near]))
+            sigma = max(spread, 0.29 * width) / math.sqrt(counts[near].sum())
+            return Pedestal(mean, sigma, max(spread, 1e-3))
+        start = np.array([counts[near].sum(), position, width, 0.0, 0.0])
         peak, _, _ = fit_band(channels[near], counts[near], GAUSSIAN, start)
         if not peak.counts_at(np.array(peak.centroid)) > _OVER * peak.background:
             return None
@@ -145,15 +149,6 @@ def fit_pedestal(channels: Array, counts: Array) -> Pedestal | None:
     if below > _LITTLE * counts[np.abs(channels - position) < _CLEAR * width].sum():
         return None
     return Pedestal(position, sigma, width)
-
-
-def _narrow_pedestal(channels: Array, counts: Array, position: float, width: float) -> Pedestal:
-    """A pedestal of a few bins, by its mean."""
-    near = np.abs(channels - position) <= _BELOW * width
-    events = counts[near].sum()
-    mean = float(np.average(channels[near], weights=counts[near]))
-    spread = math.sqrt(np.average((channels[near] - mean) ** 2, weights=counts[near]))
-    return Pedestal(mean, max(spread, 0.29 * width) / math.sqrt(events), max(spread, 1e-3))
 
 
 def chances(mean: float, lam: float, numbers: int) -> Array:

@@ -94,8 +94,7 @@ def _slab_over(
     by_transmittance, by_n = absorption_derivatives(measured, indices, thickness_mm)
     weights = mean.quantity_derivatives
     # the worst of the readings that the mean rests on
-    above = np.where(weights > 0, measured - clear_limit(indices), -np.inf)
-    i = int(np.argmax(above))
+    i = int(np.argmax(np.where(weights > 0, measured - clear_limit(indices), -np.inf)))
     beside = _beside_clear(float(measured[i]), float(indices[i]))
     return _SlabReading(
         alpha_per_cm=mean.value,

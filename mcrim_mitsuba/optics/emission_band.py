@@ -193,8 +193,7 @@ def _gaussian(medium: Material, wavelength_nm: float | None) -> tuple[Spectrum, 
         raise InputError(f"nothing tells where {medium.name} emits", mend)
     nm = maximum + fwhm * np.linspace(-WIDTHS, WIDTHS, round(2 * WIDTHS * fwhm / _STEP_NM) + 1)
     values = np.exp(-4.0 * math.log(2.0) * ((nm - maximum) / fwhm) ** 2)
-    words = f"an assumed Gaussian band about {maximum:g} nm, {fwhm:g} nm wide"
-    return Spectrum(nm, values), words
+    return Spectrum(nm, values), f"an assumed Gaussian band about {maximum:g} nm, {fwhm:g} nm wide"
 
 
 def scattering_of_colours(

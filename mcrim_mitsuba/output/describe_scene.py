@@ -114,8 +114,7 @@ def of_spectrum(spectrum: results.SpectrumResult) -> Description:
     for i in range(count):
         values = (shown(of_light[i], ".4g") for of_light in light.parameters.values())
         eta = measured(float(spectrum.eta[i]), float(spectrum.eta_sigma[i]))
-        nm = shown(light.wavelength_nm[i], ".0f")
-        rows.append(row(nm, *values, eta, hidden=i not in seen))
+        rows.append(row(shown(light.wavelength_nm[i], ".0f"), *values, eta, hidden=i not in seen))
     parameters = (Column(titled(name), name) for name in light.parameters)
     columns = (Column("wavelength (nm)", "wavelength_nm"), *parameters, "eta")
     notes = []

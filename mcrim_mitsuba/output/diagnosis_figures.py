@@ -37,7 +37,6 @@ from mcrim_mitsuba.output.sentences import (
     plausibility,
     short_headline,
     size_text,
-    titles_of,
 )
 
 #: Inches of a row.
@@ -123,12 +122,15 @@ def _rows(diagnosis: Diagnosis) -> list[list[_Row]]:
     """Single effects, among them what is no effect by its probability; pairs: the likeliest."""
     leading, probabilities = leading_candidates(diagnosis), diagnosis.probabilities
 
-    def row(candidate: Candidate) -> _Row:
-        titles = titles_of(diagnosis, candidate.effects)
+    def title(causes: Sequence[str]) -> str:
+        titles = (diagnosis.titles.get(cause, NO_EFFECTS.get(cause, cause)) for cause in causes)
         # two lines at most for each
         lines = (textwrap.fill(style.shortened(t, 2 * _LETTERS), _LETTERS) for t in titles)
+        return capital("\n+ ".join(lines))
+
+    def row(candidate: Candidate) -> _Row:
         p = probabilities.get(candidate.effect)
-        return _Row(capital("\n+ ".join(lines)), p, candidate in leading, candidate)
+        return _Row(title(candidate.effects), p, candidate in leading, candidate)
 
     singles, pairs = (
         list(map(row, tried)) for tried in (diagnosis.candidates, diagnosis.pairs[:MOST_PAIRS])
@@ -143,9 +145,7 @@ def _rows(diagnosis: Diagnosis) -> list[list[_Row]]:
         causes = name.split(" + ")
         # an effect with something beside it that is none
         if p >= _LEAST_BESIDES and effects & {*causes} and not effects >= {*causes}:
-            titles = (diagnosis.titles.get(c, NO_EFFECTS.get(c, c)) for c in causes)
-            lines = (textwrap.fill(style.shortened(t, 2 * _LETTERS), _LETTERS) for t in titles)
-            pairs.append(_Row(capital("\n+ ".join(lines)), p))
+            pairs.append(_Row(title(causes), p))
     likeliest = sorted([*singles, *pairs], key=lambda row: -(row.probability or 0.0))[:_MOST_ROWS]
     return [[row for row in rows if row in likeliest] for rows in (singles, pairs)]
 
@@ -382,7 +382,12 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
     panels = style.panels(figure, count, sharex=True)
     _draw_chi2(panels[0], stairs)
     for axes in panels[1:]:
-        _draw_parameter(axes, stairs, light_or_scale)
+        estimates = [step.parameters.get(light_or_scale) for step in stairs]
+        _staircase_title(axes, style.parameter_title(light_or_scale))
+        heights = [e.value if e else None for e in estimates]
+        # without errors where it is at a bound
+        errors = [e.sigma if e and e.at_bound is None else 0.0 for e in estimates]
+        _stairs(axes, stairs, heights, [estimate_text(e) if e else "" for e in estimates], errors)
     # where names are wider than a step of a panel, its part of the figure less its margin
     slanted = max(map(len, names)) * _STEP_PER_CHARACTER > (width / count - 0.8) / len(names)
     look: dict[str, Any] = {"rotation": 0, "ha": "center", "fontsize": 10, "parse_math": False}
@@ -425,15 +430,6 @@ def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
     else:
         axes.set_ylim(bottom=0)
     _staircase_title(axes, "χ² per degree of freedom (band: 1 ± √(2/ndf))")
-
-
-def _draw_parameter(axes: Axes, steps: Sequence[RepairStep], name: str) -> None:
-    """A fitted parameter with its errors, without where it is at a bound."""
-    estimates = [step.parameters.get(name) for step in steps]
-    _staircase_title(axes, style.parameter_title(name))
-    heights = [e.value if e else None for e in estimates]
-    errors = [e.sigma if e and e.at_bound is None else 0.0 for e in estimates]
-    _stairs(axes, steps, heights, [estimate_text(e) if e else "" for e in estimates], errors)
 
 
 def _stairs(

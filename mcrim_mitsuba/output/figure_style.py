@@ -185,18 +185,6 @@ def numbers_beside(path: str | Path) -> Path:
     return path.parent / f"{path.stem}.csv"
 
 
-def write_numbers(
-    figure: str | Path, columns: Sequence[str], rows: Iterable[Sequence[object]]
-) -> Path:
-    """Write the numbers behind a figure; what is not known or not finite is an empty cell.
-
-    Raises InputError if the file cannot be written.
-    """
-    path = numbers_beside(figure)
-    write_text(path, numbers_text(columns, rows))
-    return path
-
-
 def numbers_of(
     records: Iterable[Any], names: str, **further: Callable[[Any], object]
 ) -> tuple[list[str], list[tuple[object, ...]]]:
@@ -256,7 +244,9 @@ class Drawing:
 
         Raises InputError if a file cannot be written.
         """
-        return save(self.figure, path), write_numbers(path, self.columns, self.rows)
+        picture, numbers = save(self.figure, path), numbers_beside(path)
+        write_text(numbers, numbers_text(self.columns, self.rows))
+        return picture, numbers
 
 
 # Fitted parameters as axes and titles name them, with their units.
@@ -344,9 +334,3 @@ def units_of_signals(readings: Sequence[tuple[float, bool]]) -> np.ndarray:
     """
     light = [abs(signal) for signal, of_beam in readings if not of_beam]
     return np.array([max(light, default=1.0) if of_beam else 1.0 for _, of_beam in readings])
-
-
-def second_scale(axes: Axes, unit: float) -> None:
-    """A scale of transmittances in per cent at the right; 100 % is at the height `unit`."""
-    there_and_back = (lambda y: 100 * y / unit, lambda percent: percent * unit / 100)
-    axes.secondary_yaxis("right", functions=there_and_back).set_ylabel("transmittance (%)")

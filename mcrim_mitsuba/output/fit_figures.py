@@ -275,7 +275,9 @@ def _draw_signals(axes: Axes, places: np.ndarray, fits: Sequence[_Pulls], unit: 
     style.open_axes(axes, "y")
     of_beam = [row.of_beam for row in before.rows]
     if any(of_beam):
-        style.second_scale(axes, float(factors[of_beam.index(True)]))
+        whole = float(factors[of_beam.index(True)])
+        there_and_back = (lambda y: 100 * y / whole, lambda percent: percent * whole / 100)
+        axes.secondary_yaxis("right", functions=there_and_back).set_ylabel("transmittance (%)")
     style.legend_above(axes, handles, ncols=2, handlelength=1.8)
 
 
@@ -350,8 +352,7 @@ def _profiles_numbers(profiles: Sequence[Profile]) -> style.Numbers:
             if value is not None
         ]
         rows += [(profile.name, *point, _parabola(profile, point[1])) for point in points]
-    columns = ("parameter", "point", "value", "delta_chi2", "delta_chi2_parabola")
-    return columns, rows
+    return ("parameter", "point", "value", "delta_chi2", "delta_chi2_parabola"), rows
 
 
 def _parabola(profile: Profile, values: np.ndarray) -> np.ndarray:

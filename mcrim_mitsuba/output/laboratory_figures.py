@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -449,20 +450,10 @@ def draw_lines(lines: Mapping[str, Sequence[Line]]) -> style.Drawing:
     rows: list[Sequence[object]] = []
     for (name, of_file), colour in zip(lines.items(), itertools.cycle(_COLOURS), strict=False):
         look: dict[str, Any] = {"color": colour, "fmt": "o", "label": style.shortened(name, 26)}
-        cells = np.array(
-            [
-                [
-                    line.energy_keV,
-                    line.peak.centroid,
-                    line.relative,
-                    line.relative_sigma,
-                    fwhm,
-                    sigma,
-                ]
-                for line in of_file
-                for fwhm, sigma in [(line.width.total.fwhm, line.width.total.sigma)]
-            ]
+        names = (
+            "energy_keV peak.centroid relative relative_sigma width.total.fwhm width.total.sigma"
         )
+        cells = np.array(list(map(attrgetter(*names.split()), of_file)))
         energies, counts, relative, errors, fwhm, sigma = cells.T
         left.errorbar(energies, relative, errors, **look)
         right.errorbar(counts**-0.5, 100 * fwhm, 100 * sigma, **look)

@@ -216,7 +216,15 @@ def draw_map(mapped: EtaMap, spreads: Sequence[Spread]) -> style.Drawing:
     upright.pcolormesh(x, z, shown[:, middle].T, **look)
     upright.set_title(f"y from {y[middle]:.3g} to {y[middle + 1]:.3g} mm", fontsize=11)
     upright.set(aspect="equal", xlabel="x (mm)", ylabel="z (mm)")
-    _draw_heights(figure.add_subplot(grid[1, 2:4]), mapped)
+    # means over the cells of slices, by volume
+    volume = mapped.volume.sum(axis=(0, 1))
+    eta = np.nansum(mapped.volume * mapped.eta, axis=(0, 1)) / volume
+    sigma = np.sqrt(np.nansum((mapped.volume * mapped.eta_sigma) ** 2, axis=(0, 1))) / volume
+    heights = figure.add_subplot(grid[1, 2:4])
+    look = {"fmt": "o-", "ms": 4, "color": style.DARK, "lw": 1.2, "capsize": 2}
+    heights.errorbar(100.0 * eta, mapped.centres_mm[2], xerr=100.0 * sigma, **look)
+    heights.set(xlabel="η (%) of a slice", ylabel="z (mm)", ylim=z[[0, -1]])
+    style.open_axes(heights)
     _draw_spreads(figure.add_subplot(grid[1, 4:]), mapped, spreads)
     columns = {"volume": mapped.volume, "eta": mapped.eta, "eta_sigma": mapped.eta_sigma}
     centres = np.meshgrid(*mapped.centres_mm, indexing="ij")
@@ -224,17 +232,6 @@ def draw_map(mapped: EtaMap, spreads: Sequence[Spread]) -> style.Drawing:
     there = mapped.volume > 0.0
     numbers = style.numbers_in({name: cells[there] for name, cells in columns.items()})
     return style.Drawing(figure, *numbers)
-
-
-def _draw_heights(axes: Axes, mapped: EtaMap) -> None:
-    """Eta of horizontal slices over their height: means over the cells by volume."""
-    volume = mapped.volume.sum(axis=(0, 1))
-    eta = np.nansum(mapped.volume * mapped.eta, axis=(0, 1)) / volume
-    sigma = np.sqrt(np.nansum((mapped.volume * mapped.eta_sigma) ** 2, axis=(0, 1))) / volume
-    look: dict[str, Any] = {"fmt": "o-", "ms": 4, "color": style.DARK, "lw": 1.2, "capsize": 2}
-    axes.errorbar(100.0 * eta, mapped.centres_mm[2], xerr=100.0 * sigma, **look)
-    axes.set(xlabel="η (%) of a slice", ylabel="z (mm)", ylim=mapped.edges_mm[2][[0, -1]])
-    style.open_axes(axes)
 
 
 def _draw_spreads(axes: Axes, mapped: EtaMap, spreads: Sequence[Spread]) -> None:
@@ -307,8 +304,27 @@ def draw_times(times: ArrivalTimes) -> style.Drawing:
     """The histogram with its mean and 10 to 90 %, and the first photons with their rms."""
     figure = style.canvas(10.4, 4.5)
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
-    _draw_histogram(left, times)
-    _draw_first(right, times)
+    unit, per = ("ns", 1000.0) if times.edges_ps[-1] > _LONG_PS else ("ps", 1.0)
+    edges = times.edges_ps / per
+    _draw_steps(left, edges, 100.0 * times.part, 100.0 * times.part_sigma, color=style.DARK)
+    label = f"mean, {pdg(times.mean_ps / per, times.mean_ps_sigma / per)} {unit}"
+    left.axvline(times.mean_ps / per, color=style.WARM, lw=1.4, ls=_LINES[1], label=label)
+    begin, end = times.begin_ps / per, (times.begin_ps + times.rise_ps) / per
+    label = f"10 to 90 % of the light, {end - begin:.3g} {unit}"
+    left.axvspan(begin, end, color=style.LIGHT, alpha=0.18, lw=0, label=label)
+    left.set(xlabel=f"arrival time ({unit})", xlim=(0, edges[-1]), ylim=(0, None))
+    left.set_ylabel(f"detected light (% per {edges[1]:g} {unit})")
+    number = np.arange(1, len(times.first[0].mean_ps) + 1)
+    for photons, (colour, marker, shift) in zip(times.first, _OF_BIRTHS, strict=False):
+        look: dict[str, Any] = {"color": colour, "fmt": marker, "ms": 4.5, "lw": 1.2}
+        look |= {"capsize": 2.5, "label": f"light of an event born {photons.born}"}
+        right.errorbar(number + shift, photons.mean_ps, photons.rms_ps, **look)
+    right.set(ylabel="arrival time, mean and rms (ps)", ylim=(0, None), xticks=number)
+    right.set_xlabel(f"number among {times.detected:,} detected photons")
+    for axes in (left, right):
+        style.open_axes(axes)
+    style.legend_above(left, ncols=1, handlelength=2.6)
+    style.legend_above(right, ncols=1)
     # rows of the histogram, then of the first photons: either kind leaves the other's columns empty
     of_bin = dict.fromkeys(("time_ps", "part", "part_sigma"))
     names = "mean_ps mean_ps_sigma rms_ps rms_ps_sigma".split()
@@ -321,36 +337,6 @@ def draw_times(times: ArrivalTimes) -> style.Drawing:
         columns, of_photons = style.numbers_in(of_bin | cells | values)
         rows += of_photons
     return style.Drawing(figure, columns, rows)
-
-
-def _draw_histogram(axes: Axes, times: ArrivalTimes) -> None:
-    """Arrival times as a histogram, with their mean and rise."""
-    unit, per = ("ns", 1000.0) if times.edges_ps[-1] > _LONG_PS else ("ps", 1.0)
-    edges = times.edges_ps / per
-    percent = 100.0 * times.part
-    _draw_steps(axes, edges, percent, 100.0 * times.part_sigma, color=style.DARK)
-    label = f"mean, {pdg(times.mean_ps / per, times.mean_ps_sigma / per)} {unit}"
-    axes.axvline(times.mean_ps / per, color=style.WARM, lw=1.4, ls=_LINES[1], label=label)
-    begin, end = times.begin_ps / per, (times.begin_ps + times.rise_ps) / per
-    label = f"10 to 90 % of the light, {end - begin:.3g} {unit}"
-    axes.axvspan(begin, end, color=style.LIGHT, alpha=0.18, lw=0, label=label)
-    axes.set(xlabel=f"arrival time ({unit})", xlim=(0, edges[-1]), ylim=(0, None))
-    axes.set_ylabel(f"detected light (% per {edges[1]:g} {unit})")
-    style.open_axes(axes)
-    style.legend_above(axes, ncols=1, handlelength=2.6)
-
-
-def _draw_first(axes: Axes, times: ArrivalTimes) -> None:
-    """When the first photons of an event arrive, by where its light is born."""
-    number = np.arange(1, len(times.first[0].mean_ps) + 1)
-    for photons, (colour, marker, shift) in zip(times.first, _OF_BIRTHS, strict=False):
-        look: dict[str, Any] = {"color": colour, "fmt": marker, "ms": 4.5, "lw": 1.2}
-        look |= {"capsize": 2.5, "label": f"light of an event born {photons.born}"}
-        axes.errorbar(number + shift, photons.mean_ps, photons.rms_ps, **look)
-    axes.set(ylabel="arrival time, mean and rms (ps)", ylim=(0, None), xticks=number)
-    axes.set_xlabel(f"number among {times.detected:,} detected photons")
-    style.open_axes(axes)
-    style.legend_above(axes, ncols=1)
 
 
 # Fates: one stacked bar per configuration.
@@ -411,23 +397,19 @@ def _draw_bar(axes: Axes, row: int, light: Light, shown: Sequence[str]) -> None:
         elif percent >= _LEAST:
             narrow.append((middle, text))
     top = row - _HEIGHT / 2
-    for (middle, text), x in zip(narrow, _apart([middle for middle, _ in narrow]), strict=True):
-        look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 9}
-        look["arrowprops"] = {"arrowstyle": "-", "lw": 0.6, "shrinkA": 0, "shrinkB": 0}
-        axes.annotate(text, (middle, top), (x, top - 0.13), annotation_clip=False, **look)
-
-
-def _apart(middles: Sequence[float]) -> list[float]:
-    """Where labels above a bar go, from left to right: near their parts, none on another."""
+    # from left to right, near their parts, none on another
     places: list[float] = []
-    for middle in middles:
+    for middle, _ in narrow:
         places.append(max(middle, places[-1] + _LABEL if places else _LABEL / 2))
     # those that were pushed beyond the bar's end come back, and push others to the left
     most = 100 - _LABEL / 2
     for i in reversed(range(len(places))):
         places[i] = min(places[i], most)
         most = places[i] - _LABEL
-    return places
+    for (middle, text), x in zip(narrow, places, strict=True):
+        look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 9}
+        look["arrowprops"] = {"arrowstyle": "-", "lw": 0.6, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate(text, (middle, top), (x, top - 0.13), annotation_clip=False, **look)
 
 
 # A table: lines of eta along its longest axis.

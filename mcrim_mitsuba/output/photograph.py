@@ -150,8 +150,7 @@ class Sheet:
         """The pixels, uint8, shape (height, width, 3)."""
         high, wide = self.pixels.shape[:2]
         look: dict[str, Any] = {"interpolation": "none", "aspect": "auto", "zorder": -1}
-        pixels = np.clip(self.pixels, 0.0, 1.0)
-        self.axes.imshow(pixels, extent=(0, wide, high, 0), **look)
+        self.axes.imshow(np.clip(self.pixels, 0.0, 1.0), extent=(0, wide, high, 0), **look)
         self.axes.set(xlim=(0, wide), ylim=(high, 0))
         self.canvas.draw()
         return np.asarray(self.canvas.buffer_rgba())[:, :, :3].copy()
@@ -363,8 +362,7 @@ def render(
     with placed(path=file.path):
         triangles = surface_triangles(model)
     interfaces = interfaces_of(file, model)
-    indices = volume_indices(interfaces)
-    whole = PhotographedBench(model, triangles, indices)
+    whole = PhotographedBench(model, triangles, volume_indices(interfaces))
     parts, bench = whole.parts(), whole.assembled()
     samples, sheet = samples or SAMPLES, Sheet(scale)
     lifts, view = _taken_apart(sheet, parts)
@@ -398,11 +396,7 @@ def render(
 
 
 def _expose(
-    sheet: Sheet,
-    bodies: Sequence[Sequence[Body]],
-    panels: Sequence[Photo],
-    samples: int,
-    run: Run,
+    sheet: Sheet, bodies: Sequence[Sequence[Body]], panels: Sequence[Photo], samples: int, run: Run
 ) -> None:
     """Photograph the bodies of each panel, and put the pictures on the sheet."""
     from mcrim_mitsuba.transport.photograph import photograph

@@ -171,10 +171,7 @@ PRESENTERS = {
     "DiagnosisResult": Presenter(
         kind="diagnosis",
         describe=describe_campaign.of_diagnosis,
-        figures={
-            "ranking": diagnosis_figures.draw_ranking,
-            "next": diagnosis_figures.draw_next,
-        },
+        figures={"ranking": diagnosis_figures.draw_ranking, "next": diagnosis_figures.draw_next},
         names=f"{_DIAGNOSIS} {_PROVENANCE} notes",
     ),
     "RepairResult": Presenter(

@@ -124,8 +124,7 @@ def efficiencies_csv(sections: Sections) -> bytes:
         (e.label, *map(e.parameters.get, varied), e.eta, e.sigma, row.pull)
         for e, row in zip(sections.efficiencies, sections.calibration.rows, strict=True)
     ]
-    columns = ("label", *varied, "eta", "eta_sigma", "pull")
-    return style.numbers_text(columns, rows).encode()
+    return style.numbers_text(("label", *varied, "eta", "eta_sigma", "pull"), rows).encode()
 
 
 # The report's own: how a ratio of readings gives the scattering, and the bench for its beginning.
@@ -187,17 +186,8 @@ def album_of(sections: Sections) -> dict[str, Picture]:
     if sections.drawn is not None:
         kept = json.loads(sections.drawn.arrays["pictures"].tobytes())
         return {name: Picture(**fields) for name, fields in kept.items()}
-    pictures = _drawn(sections)
-    if "bench" in pictures:  # else no photograph came, which may come another time
-        content = json.dumps({name: asdict(picture) for name, picture in pictures.items()}).encode()
-        sections.album.write(0, {"pictures": np.frombuffer(content, np.uint8)}, {})
-    return pictures
-
-
-def _drawn(sections: Sections) -> dict[str, Picture]:
-    """All pictures by name: figures, where light arrives, and the bench's photograph."""
-    drawings = _drawings(sections)
-    pictures = {name: of_drawing(name, drawn, _SHOWN[name]) for name, drawn in drawings.items()}
+    drawings = _drawings(sections).items()
+    pictures = {name: of_drawing(name, drawn, _SHOWN[name]) for name, drawn in drawings}
     if sections.lights:
         arrival = draw_arrival(sections.lights)
         # light along radius and angle; the map's cells, a row each, would make the page heavy
@@ -210,6 +200,9 @@ def _drawn(sections: Sections) -> dict[str, Picture]:
     if photograph is not None and photograph.picture is not None:
         for name, pixels in zip(("bench", "view"), photograph.picture, strict=True):
             pictures[name] = of_pixels(name, pixels, _SHOWN[name])
+        # without a photograph, which may come another time, they are not kept
+        content = json.dumps({name: asdict(picture) for name, picture in pictures.items()}).encode()
+        sections.album.write(0, {"pictures": np.frombuffer(content, np.uint8)}, {})
     return pictures
 
 
@@ -286,8 +279,7 @@ def said(text: object, most: int = MOST_IN_A_TABLE) -> Markup:
 
 def in_full(text: object) -> Markup:
     """A file's text for ``<pre>``: what runs from right to left is isolated word by word."""
-    shown = str(escape(visible(text, keep="\n\t")))
-    return Markup(_RUN.sub(r"<bdi>\g<0></bdi>", shown))
+    return Markup(_RUN.sub(r"<bdi>\g<0></bdi>", str(escape(visible(text, keep="\n\t")))))
 
 
 # The page: it loads nothing, runs nothing and shows texts of users as texts.
@@ -300,8 +292,7 @@ MOST_PRINTED = 8
 
 def render(sections: Sections) -> str:
     """The whole page of a report as HTML."""
-    folder = resources.files("mcrim_mitsuba.output")
-    style = (folder / "style.css").read_text(encoding="utf-8")
+    style = (resources.files("mcrim_mitsuba.output") / "style.css").read_text(encoding="utf-8")
     pages = environment()
     pages.filters |= {"said": said, "brief": brief, "in_full": in_full, "number": number}
     pages.filters |= {"estimate": sentences.estimate_text, "value": short_text}

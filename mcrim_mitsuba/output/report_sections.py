@@ -132,7 +132,11 @@ def gather(
     """
     calibration = repaired.fit
     campaign, run = repaired.simulations.campaign, repaired.simulations.run
-    scene = scene_of_the_result(campaign, repaired.effects, calibration)
+    # at the fitted values, with all effects in it that are not of the readings
+    catalogue = campaign.catalogue
+    lacking = [name for name in campaign.effects if not catalogue[name].is_in(campaign.scene)]
+    values = {name: estimate.value for name, estimate in calibration.parameters.items()}
+    scene = mended_scene(campaign, (*lacking, *repaired.effects), {**calibration.fixed, **values})
     stage("profile likelihoods")
     profiles = calibration.profiles
     stage("picture of the bench")
@@ -189,16 +193,6 @@ def _behind_pictures(
         "versions": record_versions(run.variant, f"{__package__}.report"),
         "code": code_hash(modules_of(repaired.simulations.campaign.catalogue.values())),
     }
-
-
-def scene_of_the_result(
-    campaign: Campaign, effects: tuple[str, ...], calibration: Calibration
-) -> SceneFile:
-    """The scene at the fitted values, with all effects in it that are not of the readings."""
-    catalogue = campaign.catalogue
-    lacking = [name for name in campaign.effects if not catalogue[name].is_in(campaign.scene)]
-    values = {name: estimate.value for name, estimate in calibration.parameters.items()}
-    return mended_scene(campaign, (*lacking, *effects), {**calibration.fixed, **values})
 
 
 def _drawn(scene: SceneFile, proposal: NextMeasurement, run: Run) -> Figure:

@@ -26,12 +26,7 @@ from mcrim_mitsuba.core.rounding import (
 )
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
-from mcrim_mitsuba.inference.judgement import (
-    AMBIGUOUS,
-    MISSING_EFFECT,
-    NO_EFFECTS,
-    UNEXPLAINED,
-)
+from mcrim_mitsuba.inference.judgement import AMBIGUOUS, MISSING_EFFECT, NO_EFFECTS, UNEXPLAINED
 from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
     EVENTS_ORIGIN,
@@ -331,8 +326,7 @@ def not_tried(diagnosis: Diagnosis) -> list[str]:
 def how_to_look(diagnosis: Diagnosis) -> list[str]:
     """How to look for the leading effects without a fit, a sentence or two for each."""
     look = {candidate.effect: candidate.look for candidate in diagnosis.candidates}
-    leading = list(_leading_effects(diagnosis))[:MOST_NAMED]
-    looked_for = (name for name in leading if look.get(name))
+    looked_for = (name for name in list(_leading_effects(diagnosis))[:MOST_NAMED] if look.get(name))
     return [f"{capital(in_words(diagnosis, [name]))}: {look[name]}" for name in looked_for]
 
 
@@ -614,11 +608,7 @@ def next_for_average(diagnosis: Diagnosis) -> str:
 
     def systematic(name: str, part: float, by: str) -> Contribution:
         return Contribution(
-            name=name,
-            relative=part / averaged.value,
-            kind="systematic",
-            reducible=bool(by),
-            by=by,
+            name=name, relative=part / averaged.value, kind="systematic", reducible=bool(by), by=by
         )
 
     other_reading = "a further reading that tells them apart"
@@ -750,8 +740,7 @@ def _not_among_these(planning: Planning) -> str:
 def _mend(origin: str) -> str:
     """What lowers the part of an error with this origin, such as ``prior of alpha_abs_per_cm``."""
     if origin.startswith(PRIOR):
-        name = origin.removeprefix(PRIOR)
-        return _MENDS.get(origin, f"{name} measured better by other means")
+        return _MENDS.get(origin, f"{origin.removeprefix(PRIOR)} measured better by other means")
     return _MENDS.get(origin, _MENDS[EFFICIENCY])
 
 

@@ -22,8 +22,7 @@ with contextlib.suppress(ImportError):
         # beside and renamed, so that processes may share them.
         _sources = [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
         _named = hashlib.sha256(b"".join(_sources)).hexdigest()[:16]
-        _cache = platformdirs.user_cache_path("mcrim_mitsuba", appauthor=False)
-        _folder = _cache / "numba" / _named
+        _folder = platformdirs.user_cache_path("mcrim_mitsuba", appauthor=False) / "numba" / _named
         with contextlib.suppress(OSError):  # where nothing can be kept, each process compiles
             _folder.mkdir(parents=True, exist_ok=True)
             numba.config.CACHE_DIR = str(_folder) if os.access(_folder, os.W_OK) else ""

@@ -107,7 +107,9 @@ def crosscheck(
         progress=lambda done: run.tell("independent tracer", done, photons),
     )
     solved = _solved(simulation)
-    fates = _fates_met(ours, reference)
+    # that photons of either program met; eta is of those that are detected
+    fates = [f for f in {**ours.budget, **reference.budget} if f != "detected"]
+    fates = [f for f in fates if ours.budget.get(f, 0.0) or reference.counts.get(f, 0)]
     rows = tuple(_row(quantity, ours, reference, solved) for quantity in ("eta", *fates))
     scores = [abs(z) for row in rows for z in (row.z, row.modes_z) if z is not None]
     return Crosscheck(
@@ -116,13 +118,6 @@ def crosscheck(
         mitsuba_photons=ours.photons,
         numpy_photons=reference.photons,
     )
-
-
-def _fates_met(ours: SimulationResult, reference: TracerResult) -> list[str]:
-    """Fates but ``detected`` that photons of either program met."""
-    fates = {**ours.budget, **reference.budget}
-    del fates["detected"]
-    return [f for f in fates if ours.budget.get(f, 0.0) or reference.counts.get(f, 0)]
 
 
 def _solved(simulation: Simulation) -> BoxEfficiency | None:

@@ -57,8 +57,7 @@ def polygon(corners: ArrayLike) -> Face:
     """A convex polygon, by its corners, (n, 3), anticlockwise seen from the front."""
     corners = np.asarray(corners, float)
     ends = np.roll(corners, -1, axis=0)
-    across = np.cross(corners - corners[0], ends - corners[0]).sum(axis=0)
-    plane = half_space(across, corners[0])
+    plane = half_space(np.cross(corners - corners[0], ends - corners[0]).sum(axis=0), corners[0])
     pairs = zip(corners, ends, strict=True)
     bounds = [half_space(np.cross(end - start, plane[:3]), start) for start, end in pairs]
     return Face(plane, bounds=bounds, box=np.array([corners.min(axis=0), corners.max(axis=0)]))
@@ -186,11 +185,9 @@ class FacedBench:
         rows, spaces = np.zeros(len(faces), walk.FACE_FIELDS), list[HalfSpace]()
         quadrics = np.zeros((len(faces), 12))
         for row, quadric, (number, face) in zip(rows, quadrics, faces, strict=True):
-            row["form"], row["circle"] = (
-                walk.FLAT if face.plane is not None else walk.ROUND,
-                face.circle,
-            )
+            row["form"], row["circle"] = walk.ROUND, face.circle
             if face.plane is not None:
+                row["form"] = walk.FLAT
                 row["x"], row["y"], row["z"], row["level"] = face.plane
             if face.quadric is not None:
                 quadric[:] = (*face.quadric[:, :3].ravel(), *face.quadric[:, 3])
@@ -230,10 +227,8 @@ class FacedBench:
         rows = np.zeros(len(self.surfaces), walk.SURFACE_FIELDS)
         rows["mask_radius"] = math.inf
         for row, surface in zip(rows, self.surfaces, strict=True):
-            row["interior"], row["exterior"] = map(
-                self.number, (surface.interior, surface.exterior)
-            )
-            for name, value in surface.optics.items():
+            sides = {side: self.number(getattr(surface, side)) for side in ("interior", "exterior")}
+            for name, value in (sides | surface.optics).items():
                 row[name] = value
         return rows
 
@@ -258,9 +253,6 @@ class FacedBench:
         if volume == walk.OUTSIDE or volumes["endless"][volume]:
             # an endless volume is where the outside is
             here |= {walk.OUTSIDE, *np.flatnonzero(volumes["endless"]).tolist()}
-        pairs = []
-        for face, row in enumerate(sides):
-            behind, in_front = row["interior"] in here, row["exterior"] in here
-            if behind or in_front:
-                pairs.append((face, int(behind) - int(in_front)))
-        return pairs
+        behind, in_front = (np.isin(sides[side], list(here)) for side in ("interior", "exterior"))
+        faces = np.flatnonzero(behind | in_front)
+        return list(zip(faces, behind[faces].astype(int) - in_front[faces], strict=True))

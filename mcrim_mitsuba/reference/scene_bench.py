@@ -80,12 +80,16 @@ def read_bench(file: SceneFile) -> FacedBench:
     )
     depth, detector = integrator.text("max_depth"), integrator.text("detector")
     (crystal,) = file.parts.targets(emitter.node, "medium")
+    half, slab_mm = emitter.number("source_width_mm", math.inf) / 2.0, None
+    if math.isfinite(half):
+        middle = emitter.number("source_z_mm")
+        slab_mm = middle - half, middle + half
     return FacedBench(
         surfaces=[_touched(surface, surfaces, wrappings) for surface in surfaces],
         volumes={name: _volume(medium) for name, medium in media.items() if name in borders},
         birth=_birth(emitter),
         crystal=crystal.get("id", ""),
-        slab_mm=_slab(emitter),
+        slab_mm=slab_mm,
         across_mm=emitter.number("source_across_mm", math.inf),
         read="" if detector == "all" else detector,
         polarised=integrator.flag("polarization"),
@@ -120,8 +124,18 @@ def _optics(bsdf: Properties) -> Optics:
         return optics | ({"two_sided": 1} if kind == "twosided" else _mask(bsdf))
     if kind == "photodetector":
         return _detector(bsdf)
-    if kind == "polish" or (kind == "dielectric" and not bsdf.has_any("specular_")):
-        return _polish(bsdf)
+    names = [part.get("name", "") for part in bsdf.node.elements]
+    tinted = any(name.startswith("specular_") for name in names)
+    if kind == "polish" or (kind == "dielectric" and not tinted):
+        wavelength = bsdf.number("wavelength_nm", _WAVELENGTH_NM)
+        return {
+            "kind": DIELECTRIC,
+            "roughness": bsdf.number("roughness_alpha", 0.0),
+            "beckmann": bsdf.text("distribution") == "beckmann",
+            "surface_loss": bsdf.number("surface_loss", 0.0),
+            "ground_loss": bsdf.number("ground_loss", 0.0),
+            "heights": bsdf.number("rms_roughness_nm", 0.0) / wavelength,
+        }
     if kind == "diffuse" and bsdf.node.find("texture") is None:
         return {"kind": REFLECTS, "reflectance": bsdf.number("reflectance", 0.5)}
     if kind == "conductor" and bsdf.text("material") == "none":
@@ -159,18 +173,6 @@ def _detector(bsdf: Properties) -> Optics:
     return optics
 
 
-def _polish(bsdf: Properties) -> Optics:
-    wavelength = bsdf.number("wavelength_nm", _WAVELENGTH_NM)
-    return {
-        "kind": DIELECTRIC,
-        "roughness": bsdf.number("roughness_alpha", 0.0),
-        "beckmann": bsdf.text("distribution") == "beckmann",
-        "surface_loss": bsdf.number("surface_loss", 0.0),
-        "ground_loss": bsdf.number("ground_loss", 0.0),
-        "heights": bsdf.number("rms_roughness_nm", 0.0) / wavelength,
-    }
-
-
 def _volume(medium: Properties) -> dict[str, float]:
     """A medium in the words of `walk.VOLUME_FIELDS`."""
     phase = medium.node.find("phase")
@@ -182,8 +184,7 @@ def _volume(medium: Properties) -> dict[str, float]:
     if medium.node.type == "homogeneous":
         extinction = medium.number("sigma_t", 1.0) * medium.number("scale", 1.0)
         albedo = medium.number("albedo", 0.75)
-        coefficients = {"scattering": albedo * extinction, "absorption": (1 - albedo) * extinction}
-        return values | coefficients
+        return values | {"scattering": albedo * extinction, "absorption": (1 - albedo) * extinction}
     if medium.node.type != "bulk":
         raise medium.refusal(f"a medium of type {medium.node.type}")
     wavelength, is_there = medium.number("wavelength_nm", _WAVELENGTH_NM), medium.is_filled()
@@ -207,12 +208,3 @@ def _birth(emitter: Properties) -> dict[str, float]:
     if "side_depth_mm" in emitter:
         return {"axis": 0, "depth": emitter.number("side_depth_mm")}
     return {"axis": 2, "from_high": True, "depth": emitter.number("source_depth_mm", math.inf)}
-
-
-def _slab(emitter: Properties) -> tuple[float, float] | None:
-    """Lowest and highest z of births above the crystal's lowest."""
-    width = emitter.number("source_width_mm", math.inf)
-    if math.isinf(width):
-        return None
-    middle = emitter.number("source_z_mm")
-    return middle - width / 2.0, middle + width / 2.0

@@ -47,10 +47,6 @@ class Properties:
     def __contains__(self, name: str) -> bool:
         return self.node.named(name) is not None
 
-    def has_any(self, beginning: str) -> bool:
-        """Whether a property's name begins so."""
-        return any(part.get("name", "").startswith(beginning) for part in self.node.elements)
-
     def refusal(self, problem: str) -> InputError:
         """The error that the tracer does not know something of this element."""
         path, line = self.file.place_of(self.node)
@@ -99,8 +95,7 @@ def faces_of(shape: Properties) -> list[Face]:
     read = _READERS.get(shape.node.type)
     if read is None:
         raise shape.refusal(f"shapes of type {shape.node.type}")
-    matrix = to_world(shape)
-    faces = read(shape, matrix)
+    faces = read(shape, to_world(shape))
     return [face.flipped for face in faces] if shape.flag("flip_normals") else faces
 
 
@@ -126,18 +121,9 @@ def _prism(foot: Any, top: Any) -> list[list]:
 # Mitsuba's own shapes.
 
 
-def _rectangle(shape: Properties, matrix: Floats) -> list[Face]:
-    return [polygon(_moved(matrix, _square((-1, 1), (-1, 1))))]
-
-
 def _cube(shape: Properties, matrix: Floats) -> list[Face]:
     top, foot = (_up(_square((-1, 1), (-1, 1)), z) for z in (1.0, -1.0))
-    sides = [top, foot[::-1], *_prism(foot, top)]
-    return [polygon(_moved(matrix, side)) for side in sides]
-
-
-def _disk(shape: Properties, matrix: Floats) -> list[Face]:
-    return [ellipse(matrix[:3, 3], matrix[:3, 0], matrix[:3, 1])]
+    return [polygon(_moved(matrix, side)) for side in [top, foot[::-1], *_prism(foot, top)]]
 
 
 def _cylinder(shape: Properties, matrix: Floats) -> list[Face]:
@@ -146,13 +132,7 @@ def _cylinder(shape: Properties, matrix: Floats) -> list[Face]:
     u = np.cross(along, np.eye(3)[np.abs(along).argmin()])
     u *= radius / np.linalg.norm(u)
     v = np.cross(along, u) / np.linalg.norm(along)
-    ways = (matrix[:3, :3] @ way for way in (u, v, along))
-    return [mantle(_moved(matrix, foot), *ways)]
-
-
-def _sphere(shape: Properties, matrix: Floats) -> list[Face]:
-    centre = _moved(matrix, shape.point("center"))
-    return [ellipsoid(centre, matrix[:3, :3] * shape.number("radius", 1.0))]
+    return [mantle(_moved(matrix, foot), *(matrix[:3, :3] @ way for way in (u, v, along)))]
 
 
 def _mesh(shape: Properties, matrix: Floats) -> list[Face]:
@@ -400,11 +380,15 @@ def _lying_fillet(shape: Properties, matrix: Floats) -> list[Face]:
 
 
 _READERS: dict[str, Callable[[Properties, Floats], list[Face]]] = {
-    "rectangle": _rectangle,
+    "rectangle": lambda _, matrix: [polygon(_moved(matrix, _square((-1, 1), (-1, 1))))],
     "cube": _cube,
-    "disk": _disk,
+    "disk": lambda _, matrix: [ellipse(matrix[:3, 3], matrix[:3, 0], matrix[:3, 1])],
     "cylinder": _cylinder,
-    "sphere": _sphere,
+    "sphere": lambda shape, matrix: [
+        ellipsoid(
+            _moved(matrix, shape.point("center")), matrix[:3, :3] * shape.number("radius", 1.0)
+        )
+    ],
     "obj": _mesh,
     "ply": _mesh,
     "panel": _panel,

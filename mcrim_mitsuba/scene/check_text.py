@@ -6,19 +6,14 @@ A loaded Mitsuba scene keeps only the ratio of the two indices of a face, so the
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from lxml import etree
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.numbers import (
-    ALL_DETECTORS,
-    COUNTED,
-    LARGEST_INDEX,
-    judge,
-    parse_number,
-)
+from mcrim_mitsuba.core.numbers import ALL_DETECTORS, COUNTED, LARGEST_INDEX, judge, parse_number
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.xml_tree import Node, misled, misspelt, three_numbers
 
@@ -126,8 +121,7 @@ _WITH_INDICES = {"dielectric", "polish", "roughdielectric", "thindielectric"}
 
 def _dielectric_of(file: SceneFile, shape: Node) -> Node | None:
     """The bsdf of a face that carries indices."""
-    worn = file.parts.worn_by(shape)
-    return next((bsdf for bsdf in worn if bsdf.type in _WITH_INDICES), None)
+    return next((bsdf for bsdf in file.parts.worn_by(shape) if bsdf.type in _WITH_INDICES), None)
 
 
 def indices_of(file: SceneFile, shape: Node) -> tuple[float, float] | None:
@@ -142,8 +136,7 @@ def indices_of(file: SceneFile, shape: Node) -> tuple[float, float] | None:
         value = NAMED_INDICES[default]
         if index is not None:
             text = index.get("value", "")
-            named = index.tag == "string"
-            value = NAMED_INDICES.get(text.lower(), 1.0) if named else float(text)
+            value = NAMED_INDICES.get(text.lower(), 1.0) if index.tag == "string" else float(text)
             # only the bsdf `polish` has an offset
             if offset is not None and is_filled(value):
                 value += float(offset.get("value", ""))
@@ -181,9 +174,8 @@ def _problems_of_words(file: SceneFile) -> list[SceneProblem]:
     ]
 
 
-def _problems_of_parameters(file: SceneFile) -> list[SceneProblem]:
+def _problems_of_parameters(file: SceneFile) -> Iterator[SceneProblem]:
     """Scene parameters that are negative, out of range or look like another unit."""
-    problems = []
     for name, value in file.parameters.items():
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if is_number and (wrong := judge(name, float(value))) is not None:
@@ -192,8 +184,7 @@ def _problems_of_parameters(file: SceneFile) -> list[SceneProblem]:
             place: tuple[Path, int | None] = default.path, default.line
             if name in file.overrides:
                 what, place = f"the value given for {name} is {value:g}", (file.path, None)
-            problems.append(SceneProblem(kind, f"{what}: {text}", mend, *place))
-    return problems
+            yield SceneProblem(kind, f"{what}: {text}", mend, *place)
 
 
 def detectors_of(file: SceneFile) -> list[str]:
@@ -216,9 +207,8 @@ def problems_of_counted(file: SceneFile) -> list[SceneProblem]:
     return problems
 
 
-def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
+def _problems_of_rotations(file: SceneFile) -> Iterator[SceneProblem]:
     """Rotations whose axis is not a unit vector: Mitsuba shears and scales with them."""
-    problems = []
     for element in file.root.iter("rotate"):
         axis = three_numbers(element, 0.0)
         length = math.hypot(*axis)
@@ -228,13 +218,12 @@ def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
             what = f"the axis of this <rotate> has the length {length:.4g}"
             text = f"{what}: Mitsuba would distort the shape"
             mend = f"give it the length 1: {mended}"
-            problems.append(SceneProblem("value", text, mend, *file.place_of(element)))
-    return problems
+            yield SceneProblem("value", text, mend, *file.place_of(element))
 
 
 def _problems_of_faces(file: SceneFile) -> list[SceneProblem]:
     """Faces whose optical surface is missing, half written or out of range."""
-    problems = []
+    problems: list[SceneProblem] = []
     for shape in file.parts.shapes:
         name = shape.get("id")
         if name and file.parts.bsdf(shape) is not None:
@@ -250,14 +239,13 @@ def _problems_of_faces(file: SceneFile) -> list[SceneProblem]:
     return list(dict.fromkeys(problems))
 
 
-def _problems_of_dielectric(file: SceneFile, element: Node, shape: str) -> list[SceneProblem]:
+def _problems_of_dielectric(file: SceneFile, element: Node, shape: str) -> Iterator[SceneProblem]:
     """Indices of a dielectric that the scene does not write, or that no medium has."""
     who = f"bsdf {element.get('id')!r}" if element.get("id") else f"the bsdf of {shape}"
-    problems = []
     if element.type == "roughdielectric" and element.named("alpha") is None:
         text = f"{who} is a roughdielectric without alpha: Mitsuba would take 0.1"
         mend = 'write <float name="alpha" value="..."/>, or type="dielectric" for a polished face'
-        problems.append(SceneProblem("surface", text, mend, *file.place_of(element)))
+        yield SceneProblem("surface", text, mend, *file.place_of(element))
     for side, default in (("int_ior", "1.5046"), ("ext_ior", "1.000277")):
         index = element.named(side)
         if index is None:
@@ -267,7 +255,7 @@ def _problems_of_dielectric(file: SceneFile, element: Node, shape: str) -> list[
             if slip := closest(side, names.keys() - {"int_ior", "ext_ior"}):
                 text, mend = f"{who} knows no {slip}", f"did you mean {side}?"
             place = file.place_of(names[slip] if slip else element)
-            problems.append(SceneProblem("index", text, mend, *place))
+            yield SceneProblem("index", text, mend, *place)
             continue
         if index.tag != "float":
             continue
@@ -285,5 +273,4 @@ def _problems_of_dielectric(file: SceneFile, element: Node, shape: str) -> list[
         if not 1.0 <= value <= LARGEST_INDEX:
             text = f"{who} has {side} = {value:g}, which is no refractive index"
             mend = f"give a number from 1 to {LARGEST_INDEX:g}"
-            problems.append(SceneProblem("index", text, mend, path, line))
-    return problems
+            yield SceneProblem("index", text, mend, path, line)

@@ -84,8 +84,7 @@ class SceneEditor(SceneParts):
         self._resolved: dict[tuple, dict[Node, Node]] = {}
         self._newline = "\r\n" if "\r\n" in self._main else "\n"
         # the blanks of one level
-        indentations = map(self._indentation, self.root.elements)
-        self._unit = next(indentations, None) or "  "
+        self._unit = next(map(self._indentation, self.root.elements), None) or "  "
 
     # ------------------------------- finding parts of the bench -------------------------------
 
@@ -202,8 +201,7 @@ class SceneEditor(SceneParts):
         if key not in self._resolved:
             scene = self.scene.with_overrides(overrides) if overrides else self.scene
             nodes = (node for node in self.root.iter(etree.Element) if node.tag != "default")
-            elements = scene.root.iter(etree.Element)
-            self._resolved[key] = dict(zip(nodes, elements, strict=True))
+            self._resolved[key] = dict(zip(nodes, scene.root.iter(etree.Element), strict=True))
         return self._resolved[key]
 
     # ------------------------------------- changing them --------------------------------------
@@ -313,8 +311,7 @@ class SceneEditor(SceneParts):
         """Give the comment directly above an element, if there is one, other words."""
         start = _start_with_comment(self._spans, node)
         if start < self._spans[node].start:
-            end = self._text.index("-->", start) + 3
-            self._splices.append((start, end, f"<!-- {words} -->"))
+            self._splices.append((start, self._text.index("-->", start) + 3, f"<!-- {words} -->"))
 
     def finished(self) -> str:
         """The new text.
@@ -355,10 +352,8 @@ class SceneEditor(SceneParts):
         if path != self.scene.path:
             # the comments above <scene>, and what is in it
             span, place = spans[root], head.end() if head else 0
-            above, content = (
-                text[place : span.start].rstrip(),
-                text[span.inside : span.close].rstrip(),
-            )
+            above, content = text[place : span.start], text[span.inside : span.close].rstrip()
+            above = above.rstrip()
             yield _Piece(path, text, place, place + len(above))
             place, end = span.inside, span.inside + len(content)
             if not above:

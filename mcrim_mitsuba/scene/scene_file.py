@@ -200,8 +200,7 @@ class SceneFile:
 
     def __reduce__(self) -> tuple[Callable[..., SceneFile], tuple[Any, ...]]:
         # lxml's elements cannot be pickled: the copy is put together from the same bytes
-        arguments = (self.path, self.overrides, self._sources, self._indices, self._unwritten)
-        return _assemble, arguments
+        return _assemble, (self.path, self.overrides, self._sources, self._indices, self._unwritten)
 
     @functools.cached_property
     def content_hash(self) -> str:
@@ -215,8 +214,18 @@ class SceneFile:
         canonical = etree.canonicalize(text, strip_text=True, exclude_tags=["sensor"])
         digest = hashlib.sha256(canonical.encode())
         for element, files in self.naming():
+            path, line = self.place_of(element)
+            refused = functools.partial(InputError, path=path, line=line)
             for named in files:
-                digest.update(self._digest_of(named, element))
+                try:
+                    if named.stat().st_size > _LARGEST_NAMED_FILE_MB * BYTES_PER_MB:
+                        problem = f"{named} is larger than {_LARGEST_NAMED_FILE_MB} MB"
+                        raise refused(problem, "is this the file you meant?")
+                    with named.open("rb") as stream:
+                        digest.update(hashlib.file_digest(stream, "sha256").digest())
+                except OSError as error:
+                    problem = f"{named} cannot be read ({error.strerror})"
+                    raise refused(problem, "name another file") from None
         return digest.hexdigest()
 
     @functools.cached_property
@@ -225,19 +234,6 @@ class SceneFile:
         if any(self.naming()):
             return self.content_hash
         return etree.tostring(self.root)
-
-    def _digest_of(self, named: Path, element: Node) -> bytes:
-        """SHA-256 of a file that an element names."""
-        path, line = self.place_of(element)
-        try:
-            if named.stat().st_size > _LARGEST_NAMED_FILE_MB * BYTES_PER_MB:
-                problem = f"{named} is larger than {_LARGEST_NAMED_FILE_MB} MB"
-                raise InputError(problem, "is this the file you meant?", path=path, line=line)
-            with named.open("rb") as stream:
-                return hashlib.file_digest(stream, "sha256").digest()
-        except OSError as error:
-            problem = f"{named} cannot be read ({error.strerror})"
-            raise InputError(problem, "name another file", path=path, line=line) from None
 
 
 @dataclass(frozen=True, eq=False)

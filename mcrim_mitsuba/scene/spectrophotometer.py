@@ -122,12 +122,6 @@ def spectrophotometer_of(bench: SceneFile) -> SceneFile:
     derived = bench.edited(editor.finished(), without=unused)
     if GAP_INDEX in derived.parameters:
         derived = derived.with_overrides({GAP_INDEX: 1.0})
-    _refuse_liquids(derived, editor)
-    return derived
-
-
-def _refuse_liquids(derived: SceneFile, editor: SceneEditor) -> None:
-    """Refuse a beam's scene in which a shape still touches a liquid."""
     for shape in derived.parts.shapes:
         indices = indices_of(derived, shape)
         if indices is not None and is_filled(min(indices)):
@@ -135,6 +129,7 @@ def _refuse_liquids(derived: SceneFile, editor: SceneEditor) -> None:
                 f"{shape.get('id')} touches an index of {min(indices):g} in the beam, too",
                 f"name the liquid's index as a parameter {GAP_INDEX}, which is that of air there",
             )
+    return derived
 
 
 def scattered_share(scene: SceneFile, acceptance_deg: float) -> float | None:
@@ -155,5 +150,4 @@ def scattered_share(scene: SceneFile, acceptance_deg: float) -> float | None:
     if not (even and plain and rectangles) or graded or None in indices:
         return None
     n = max(max(pair) for pair in indices if pair is not None)
-    sine = math.sin(math.radians(acceptance_deg)) / n
-    return 0.5 * (1.0 - math.sqrt(1.0 - sine**2))
+    return 0.5 * (1.0 - math.sqrt(1.0 - (math.sin(math.radians(acceptance_deg)) / n) ** 2))

@@ -310,7 +310,14 @@ def parse_list(option: str, text: str, name: str = "", folder: Path | None = Non
             ]
         else:
             elements = body.split(",")
-            _refuse_decimal_commas(option, elements)
+            # elements such as 039: 0,039 would be the two numbers 0 and 39
+            for before, element in zip(["0", *elements], map(str.strip, elements), strict=False):
+                if _STEP_DECIMALS.fullmatch(element):
+                    whole = before.strip() or "0"
+                    whole = whole if whole.lstrip("+-").isdecimal() else "0"
+                    problem = f"{option}: '{element}' begins with 0, as after a decimal comma"
+                    mend = f"write {whole}.{element}; commas separate numbers"
+                    raise InputError(problem, mend)
         return [number(part) for part in elements]
     parts = body.removeprefix("log:").split(":")
     if len(parts) != 3:
@@ -348,15 +355,3 @@ def refuse_many_points(points: int) -> None:
     if points > MOST_POINTS:
         mend = "give shorter lists; eta is smooth, and values between can be interpolated"
         raise InputError(f"{points:,} points are asked for, {MOST_POINTS:,} are the most", mend)
-
-
-def _refuse_decimal_commas(option: str, elements: list[str]) -> None:
-    """Refuse elements such as 039: ``0,039`` would be the two numbers 0 and 39."""
-    for before, element in zip(["", *elements], elements, strict=False):
-        decimals = element.strip()
-        if not _STEP_DECIMALS.fullmatch(decimals):
-            continue
-        whole = before.strip() or "0"
-        meant = f"{whole}.{decimals}" if whole.lstrip("+-").isdecimal() else f"0.{decimals}"
-        problem = f"{option}: '{decimals}' begins with 0, as after a decimal comma"
-        raise InputError(problem, f"write {meant}; commas separate numbers")

@@ -90,7 +90,8 @@ def write_report(
     """
     picture = page.with_suffix(".png")
     draw(picture, rows, judged)
-    style.write_numbers(picture, COLUMNS, map(_cells, rows))
+    text = style.numbers_text(COLUMNS, map(_cells, rows))
+    write_text(style.numbers_beside(picture), text)
     write_text(page, _page(picture.name, rows, judged, provenance))
 
 

@@ -398,8 +398,7 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
         "mean_photons peak_events intrinsic_spread dark_photons pedestal_events "
         "pedestal_photons continuum_events continuum_photons",
     )
-    document = {"kind": "histogram", "version": 1, **made_from, "seed": seed}
-    terminal.write_json(json_file, document)
+    terminal.write_json(json_file, {"kind": "histogram", "version": 1, **made_from, "seed": seed})
     screen = terminal.console(json_file, path)
     if path not in STDOUT:
         screen.line(f"{len(rows)} {'events' if as_list else 'bins'} written to {path}")

@@ -170,8 +170,7 @@ def relative(file, json_file) -> None:
         "signals_alone_ph_per_keV": read.signals_alone,
     }
     shown = describe_laboratory.of_relative(read, budgets)
-    result = VerbResult(kind="relative_yield", shown=shown, numbers=document)
-    showing.answer(result, json_file)
+    showing.answer(VerbResult(kind="relative_yield", shown=shown, numbers=document), json_file)
 
 
 #: What is planned with unless asked otherwise: indices of the gap, events and mountings.

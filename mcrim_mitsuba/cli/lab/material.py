@@ -254,11 +254,11 @@ def index(material, wavelength_nm, emission, json_file) -> None:
     showing.refuse_places(json_file, [] if emission is None else [emission])
     if material is None and emission is not None:
         raise InputError("--emission needs a material", "name one, such as CaMoO4")
-    nm = _USUAL_NM if wavelength_nm is None else wavelength_nm
-    if material is None:
-        answer = _catalogue(nm)
+    if material is not None and emission is not None:
+        answer = _over(material, emission)
     else:
-        answer = _at(material, nm) if emission is None else _over(material, emission)
+        nm = _USUAL_NM if wavelength_nm is None else wavelength_nm
+        answer = _catalogue(nm) if material is None else _at(material, nm)
     showing.answer(answer, json_file)
 
 
