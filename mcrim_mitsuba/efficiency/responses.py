@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,13 +37,18 @@ class Point:
             scattering, by_log_scat = grid.scattering.weights(math.log(a_s))
             offset = a_a + grid.offset_per_cm
             absorption, by_log_abs = grid.absorption.weights(math.log(offset))
-            along = np.array([scattering, by_log_scat / a_s, scattering])
-            across = np.array([absorption, absorption, by_log_abs / offset])
-            found[a_s, a_a] = (along[:, :, None] * across[:, None, :]).reshape(3, -1)
+            along = np.array([scattering, by_log_scat / a_s])
+            across = np.array([absorption, by_log_abs / offset])
+            # the fourth is the mixed derivative
+            found[a_s, a_a] = (across[:, None, None] * along[:, :, None]).reshape(4, -1)[:3]
         return cls(np.array([found[pair] for pair in (pairs if len(found) > 1 else found)]))
 
+    def on(self, coarser: NDArray[np.float64]) -> Point:
+        """The same on a grid with fewer nodes, as of `Responses.coarser`."""
+        return Point(self.weights @ coarser)
+
     def value(self, table: NDArray) -> NDArray[np.float64]:
-        """(readings,) of a (readings, scattering nodes, absorption nodes) table."""
+        """(..., readings) of a (..., readings, scattering nodes, absorption nodes) table."""
         return self.value_and_slopes(table)[0]
 
     def value_and_slopes(self, table: NDArray) -> NDArray[np.float64]:
@@ -50,7 +56,7 @@ class Point:
 
         Of a (..., readings, scattering nodes, absorption nodes) table.
         """
-        flat = table.reshape(*table.shape[:-2], -1)
+        flat = table.reshape(*table.shape[:-2], self.weights.shape[-1])
         if len(self.weights) == 1:
             found = flat.reshape(-1, flat.shape[-1]) @ self.weights[0].T
             return found.T.reshape(3, *flat.shape[:-1])
@@ -102,20 +108,18 @@ class EffectResponse:
     #: log_ratio.
     deviations: NDArray[np.float32]
 
-    def at(
-        self, point: Point, values: Sequence[float]
-    ) -> tuple[NDArray[np.float64], NDArray, NDArray, NDArray[np.float64]]:
-        """(readings,) addition, its slopes by alpha_scat and alpha_abs, and (axes, readings)."""
-        at_nodes = point.value_and_slopes(self.log_ratio)
-        at_nodes = at_nodes.reshape(3, -1, at_nodes.shape[-1])
+    def added(self, values: Sequence[float]) -> NDArray[np.float64]:
+        """(1 + axes, readings, scattering nodes, absorption nodes) addition at some values.
+
+        With its slopes by each of them.
+        """
         each = [axis.weights(value) for axis, value in zip(self.axes, values, strict=True)]
-        found = _outer([weights for weights, _ in each]) @ at_nodes
-        slopes = [
-            _outer([slope if j == i else weights for j, (weights, slope) in enumerate(each)])
-            for i in range(len(each))
-        ]
-        by_axis = np.array(slopes).reshape(len(each), at_nodes.shape[1]) @ at_nodes[0]
-        return found[0], found[1], found[2], by_axis
+        weights = [_outer([weights for weights, _ in each])]
+        for i in range(len(each)):
+            weights.append(_outer([own[i == j] for j, own in enumerate(each)]))
+        shape = self.log_ratio.shape[len(each) :]
+        of_nodes = self.log_ratio.reshape(len(weights[0]), -1)
+        return (np.array(weights) @ of_nodes).reshape(-1, *shape)
 
     def weights_at(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
         """(points, nodes of all axes) weights of the nodes at (points,) values of each axis."""
@@ -196,6 +200,17 @@ class Responses:
     effects: Mapping[str, EffectResponse] = field(default_factory=dict)
     #: All photons behind it.
     photons: int = 0
+
+    @cached_property
+    def coarser(self) -> NDArray[np.float64]:
+        """(nodes, coarse nodes) weights of the coarse grid's values at the nodes of the other.
+
+        A polynomial of fewer powers goes through the latter exactly: the product with weights of
+        the fine grid are those of the coarse one.
+        """
+        fine, coarse = self.grid, self.coarse
+        scattering = coarse.scattering.weights_at(fine.scattering.nodes)
+        return np.kron(scattering, coarse.absorption.weights_at(fine.absorption.nodes))
 
 
 def stack(tables: Sequence[EtaGrid]) -> tuple[NDArray[np.float64], NDArray[np.float32]]:

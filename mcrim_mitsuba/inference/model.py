@@ -242,6 +242,8 @@ class ResponseModel:
         self._column = {parameter.name: i for i, parameter in enumerate(self.free)}
         self._set_rows()
         self._latest: PredictionPoint | None = None
+        # by effect, at its latest values, what it adds: where its size is held that stays
+        self._added: dict[str, tuple[Sequence[float], Array]] = {}
         self._shift: Array | None = None
         if anchor is not None:
             values = {**self._held, **anchor.values}
@@ -282,8 +284,7 @@ class ResponseModel:
 
     def _values(self, theta: Array) -> dict[str, float]:
         """All parameters that the campaign names, free and held."""
-        free = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
-        return {**self._held, **free}
+        return {**self._held, **dict(zip(self._column, theta.tolist(), strict=True))}
 
     def _at(self, values: Mapping[str, float]) -> PredictionPoint:
         """What the responses say at these values; who asks next often asks for another scale."""
@@ -400,12 +401,25 @@ class ResponseModel:
             for own, reading in zip(self._named[name], self.readings, strict=True)
         ]
 
-    def points(self, values: Mapping[str, float]) -> tuple[Point, Point]:
-        """The coefficients' place on the grid of the bench, and on that of the effects."""
+    def point(self, values: Mapping[str, float]) -> Point:
+        """The coefficients' place on the grid of the bench."""
         own = self._own if len(self._alike) > 1 else self._own[:1]
         pairs = [[values[n] if isinstance(n, str) else n for n in named] for named in own]
         columns = list(zip(*pairs, strict=True))
-        return Point.of(self.responses.grid, *columns), Point.of(self.responses.coarse, *columns)
+        return Point.of(self.responses.grid, *columns)
+
+    def added(self, effect: str, values: Sequence[float]) -> Array:
+        """What an effect that is switched on adds at some values, see `EffectResponse.added`."""
+        latest = self._added.get(effect)
+        if latest is None or latest[0] != values:
+            latest = self._added[effect] = values, self.switched_on[effect].added(values)
+        return latest[1]
+
+    @cached_property
+    def of_tolerances(self) -> Array:
+        """(tolerances, readings, ...) what a standard uncertainty of each adds, as of `added`."""
+        moved = [of.sigma * response.added([0.0])[1] for of, response in self.tolerances.items()]
+        return np.reshape(moved, (len(moved), len(self.readings), *self.responses.coarse.counts))
 
     def by_name(self, name: str, slopes: Array) -> dict[str, Array]:
         """Slopes by every reading's own coefficient as those by the parameters that stand for it.
@@ -425,26 +439,27 @@ class PredictionPoint:
         effects: Collection[str] | None = None,
     ) -> None:
         self.values = values
-        self._anchor, self._responses = model.anchor, model.responses
-        self._tolerances = model.tolerances
-        self._fine, self._coarse = model.points(values)
+        self._model, self._anchor, self._responses = model, model.anchor, model.responses
+        self._fine = model.point(values)
+        self._coarse = self._fine.on(model.responses.coarser)
         # each with its parameters' values
         self._switched_on = {
             name: (response, [values[axis.name] for axis in response.axes])
             for name, response in model.switched_on.items()
             if effects is None or name in effects
         }
-        log_eta, by_scat, by_abs = self._fine.value_and_slopes(self._responses.log_eta)
+        # (3, readings) with slopes by alpha_scat and alpha_abs
+        all_of_it = self._fine.value_and_slopes(self._responses.log_eta)
         #: (readings,) d log_eta / d parameter, by its name.
         self.slopes: dict[str, Array] = {}
-        for response, own in self._switched_on.values():
-            more, more_by_scat, more_by_abs, by_axis = response.at(self._coarse, own)
-            log_eta, by_scat, by_abs = log_eta + more, by_scat + more_by_scat, by_abs + more_by_abs
-            for i, axis in enumerate(response.axes):
+        for name, (response, own) in self._switched_on.items():
+            added = self._coarse.value_and_slopes(model.added(name, own))
+            all_of_it = all_of_it + added[:, 0]
+            for axis, slopes in zip(response.axes, added[0, 1:], strict=True):
                 # a beam's parameter may be one of several effects' responses
-                self.slopes[axis.name] = self.slopes.get(axis.name, 0.0) + by_axis[i]
+                self.slopes[axis.name] = self.slopes.get(axis.name, 0.0) + slopes
         #: (readings,) Without the anchor's correction.
-        self.log_eta = log_eta
+        self.log_eta, by_scat, by_abs = all_of_it
         self.slopes |= model.by_name(ALPHA_SCAT, by_scat) | model.by_name(ALPHA_ABS, by_abs)
 
     @property
@@ -467,11 +482,7 @@ class PredictionPoint:
     @cached_property
     def by_tolerances(self) -> Array:
         """(readings, tolerances) change of log(eta) by a standard uncertainty of each number."""
-        moved = [np.zeros((len(self.log_eta), 0))]
-        for tolerance, response in self._tolerances.items():
-            _, _, _, by_offset = response.at(self._coarse, [0.0])
-            moved.append(tolerance.sigma * by_offset.T)
-        return np.hstack(moved)
+        return self._coarse.value(self._model.of_tolerances).T
 
     def interpolation_error(self) -> Array:
         """(readings,) estimated size of the error that interpolation makes in log(eta)."""

@@ -262,10 +262,9 @@ class Statistic:
             [0.0 if p.prior_sigma is None else p.prior_sigma**-2 for p in self.free]
         )
         self._priors = np.flatnonzero(self.prior_weight)
-        self._prior_rows = np.zeros((len(self._priors), len(self.free)))
-        self._prior_rows[np.arange(len(self._priors)), self._priors] = -np.sqrt(
-            self.prior_weight[self._priors]
-        )
+        self._prior_roots = np.sqrt(self.prior_weight[self._priors])
+        self._prior_rows = np.zeros((1 + len(self.free), len(self._priors)))
+        self._prior_rows[1 + self._priors, np.arange(len(self._priors))] = -self._prior_roots
 
     def _set_coordinates(self) -> None:
         """In which coordinate each parameter is searched, and its bounds there."""
@@ -278,7 +277,8 @@ class Statistic:
         #: (free,) Which parameters are searched in their logarithm.
         self.logarithmic = np.array([kind == "log" for kind in kinds], bool)
         self._reciprocal = np.array([kind == "reciprocal" for kind in kinds], bool)
-        self._curved = bool((self.logarithmic | self._reciprocal).any())
+        self._inverted = bool(self._reciprocal.any())
+        self._curved = self._inverted or bool(self.logarithmic.any())
         self.bounds = tuple(np.array([(p.minimum, p.maximum) for p in self.free]).reshape(-1, 2).T)
         #: (free,) Minimum and maximum in the searched coordinates; and the same, the lower first.
         self.walls = self.internal(self.bounds[0]), self.internal(self.bounds[1])
@@ -339,12 +339,12 @@ class Statistic:
 
         Raises InputError where arithmetic ended on the way: readings that no arithmetic holds.
         """
-        if not np.isfinite(x).all():
+        if not math.isfinite(x.sum()):
             raise self._beyond_arithmetic()
         theta = x.copy()
         if self._curved:
-            theta[self.logarithmic] = np.exp(theta[self.logarithmic])
-            if self._reciprocal.any():
+            np.exp(x, where=self.logarithmic, out=theta)
+            if self._inverted:
                 with np.errstate(divide="ignore"):
                     theta[self._reciprocal] = 1.0 / theta[self._reciprocal]
         # the logarithm of a bound may come back as a number beyond it
@@ -353,9 +353,9 @@ class Statistic:
 
     def slopes_of_external(self, theta: Array) -> Array:
         """(free,) d parameter / d searched coordinate."""
-        chain = np.ones(len(theta))
-        chain[self.logarithmic] = theta[self.logarithmic]
-        chain[self._reciprocal] = -(theta[self._reciprocal] ** 2)
+        chain = np.where(self.logarithmic, theta, 1.0)
+        if self._inverted:
+            chain[self._reciprocal] = -(theta[self._reciprocal] ** 2)
         return chain
 
     def _beyond_arithmetic(self) -> InputError:
@@ -444,16 +444,14 @@ class Statistic:
         chi2 is their sum of squares.
         """
         prediction = self.model.predict(theta)
-        of_readings = weights.whiten(self.residuals(prediction))
-        slopes = -weights.whiten(prediction.signal_slopes[self.used].T).T
-        if len(self._priors):
-            at = self._priors
-            of_priors = (self.prior[at] - theta[at]) * np.sqrt(self.prior_weight[at])
-            of_readings = np.concatenate([of_readings, of_priors])
-            slopes = np.vstack([slopes, self._prior_rows])
+        # in one go: the residuals, and their slopes by every parameter
+        moved = np.vstack([prediction.signal, prediction.signal_slopes.T])[:, self.used]
+        moved[0] -= self.signal
+        rows = np.concatenate([weights.whiten(-moved), self._prior_rows], axis=1)
+        rows[0, len(self.signal) :] = (self.prior - theta)[self._priors] * self._prior_roots
         if self._curved:
-            slopes = slopes * self.slopes_of_external(theta)
-        return of_readings, slopes
+            rows[1:] *= self.slopes_of_external(theta)[:, None]
+        return rows[0], rows[1:].T
 
     def chi2(self, theta: Array, weights: Weights) -> float:
         """Readings' chi2 plus the priors'."""
