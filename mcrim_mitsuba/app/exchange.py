@@ -167,7 +167,8 @@ def scene_file(
 ) -> tuple[str, bytes]:
     """Name and content of the mended scene."""
     scene = mended_scene(campaign, effects, rounded(values))
-    return f"{safe_name(campaign.path.stem, '')}_mended.xml", scene_text(scene).encode()
+    name = f"{safe_name(campaign.path.stem, '')}_{'mended' if effects else 'as_shown'}.xml"
+    return name, scene_text(scene).encode()
 
 
 def campaign_archive(
@@ -182,7 +183,7 @@ def campaign_archive(
     Raw data stay where they are: the campaign has the numbers that they gave. Priors are what a fit
     with these effects knew of their sizes, `chosen` what the user chose to hold or to know.
     """
-    stem = f"{safe_name(campaign.path.stem, '')}_mended"
+    stem = f"{safe_name(campaign.path.stem, '')}_{'mended' if effects else 'as_shown'}"
     values = rounded(values)
     scene = mended_scene(campaign, effects, values)
     with tempfile.TemporaryDirectory() as name:

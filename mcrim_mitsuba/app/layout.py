@@ -26,15 +26,15 @@ from mcrim_mitsuba.inference.judgement import ADEQUATE
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P
 from mcrim_mitsuba.output import describe_campaign, sentences
 from mcrim_mitsuba.output.description import Column, Table, table
-from mcrim_mitsuba.output.figure_style import shortened, units_of_signals
+from mcrim_mitsuba.output.figure_style import shortened_apart, units_of_signals
 from mcrim_mitsuba.output.pages import environment
 
 #: Candidates that are shown.
 _MOST_CANDIDATES = 8
 #: Below it chi2 is rounding.
 _NO_CHI2 = 5e-4
-#: Characters of a reading's label in the chart.
-_LABEL_LENGTH = 22
+#: Characters of a reading's label in the chart, and in a narrow one.
+_LABEL_LENGTHS = (22, 11)
 #: Steps of a slider.
 _SLIDER_STEPS = 1000
 
@@ -131,7 +131,7 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
             | {"height": fit.chi2 / fit.ndf if fit.ndf > 0 else None}
             for step, fit in ((step, step.calibration) for step in now.steps)
         ],
-        "can_undo": history.can_undo,
+        **attributes(history, "can_undo can_redo"),
         "parts": panels,
         "gains": {c.effect: (c.delta_chi2, f"χ² −{sentences.gain_text(c)}") for c in gaining},
     }
@@ -151,7 +151,7 @@ def step_name(step: FitStep) -> str:
 def predictions(session: Session, settings: Settings) -> dict[str, Any]:
     """What the browser writes and draws at some settings."""
     readings = session.state.campaign.measurements.readings
-    document = attributes(session.history, "settings_number can_undo")
+    document = attributes(session.history, "settings_number can_undo can_redo")
     try:
         shown = session.model.show(settings)
     except ValueError as error:  # effects that exclude each other
@@ -252,7 +252,7 @@ def _chart(
         "signal": units * [r.signal for r in readings],
         "sigma": units * [r.sigma for r in readings],
         "use": [r.use for r in readings],
-        "short": [shortened(r.label, _LABEL_LENGTH) for r in readings],
+        "labels": [shortened_apart([r.label for r in readings], most) for most in _LABEL_LENGTHS],
         "percent": next(of_beams, None),
         "model": shown and heights(shown.rows),
         "beside": beside and {"name": step_name(beside[0]), **heights(beside[1].rows)},

@@ -7,10 +7,10 @@ is, ``predictions`` what the model says at some settings, ``reading`` of a readi
 `falling-chart`, `chi2`, `p-value`, `light-yield`, `averaged`, `rows` (the table), `reading` (one of
 them), `verdict`, `status`, `progress`, `error` (of a job), `slip` (of a file or a button), `lost`
 (the connection), `pending`; buttons `upload-button` (its file field lies in `upload`), `fit`,
-`back`, `undo`, `diagnose`, `stop`, `get-scene`, `get-campaign`, `get-report`, `get-session`; of a
-row of the table, counted from 0, fields such as `n_gap-3` and the buttons `copy-3`, `drop-3`;
-compound ids are JSON with sorted keys, such as ``{"kind":"slider","name":"alpha_scat_per_cm"}``, of
-kinds `slider`, `number`, `known`, `effect`.
+`back`, `undo`, `redo`, `diagnose`, `stop`, `get-scene`, `get-campaign`, `get-report`,
+`get-session`; of a row of the table, counted from 0, fields such as `n_gap-3` and the buttons
+`copy-3`, `drop-3`; compound ids are JSON with sorted keys, such as
+``{"kind":"slider","name":"alpha_scat_per_cm"}``, of kinds `slider`, `number`, `known`, `effect`.
 """
 
 from __future__ import annotations
@@ -151,6 +151,7 @@ def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], object]
         "stop": lambda asked, _: session.jobs.stop(asked["name"] or None),
         "back": lambda *_: session.go_back(),
         "undo": lambda *_: session.undo(),
+        "redo": lambda *_: session.undo(again=True),
         "show": lambda asked, _: session.show_step(asked["name"]),
         "compare": lambda asked, _: session.compare_with(asked["name"]),
         "remove": lambda asked, _: session.remove_step(asked["name"]),

@@ -307,7 +307,6 @@ class Session:
             live.take(simulations)
             with self.history.lock:
                 if self.state.campaign is campaign:
-                    self.history.keep()
                     self.history.change(diagnosis=diagnosis)
 
         self.jobs.start(PageJob("diagnose", "diagnosing", work, parts=PARTS[1:]))
@@ -319,11 +318,11 @@ class Session:
         if self.state.steps:
             self.show_step(self.state.steps[0].number)
 
-    def undo(self) -> None:
-        """Take back the last fit, diagnosis, change of readings or removed step."""
+    def undo(self, *, again: bool = False) -> None:
+        """Take back the last fit, change of controls or readings, or removed step, or redo it."""
         with self.history.lock:
-            if self.history.can_undo:
-                self.history.bring_back()
+            if self.history.can_redo if again else self.history.can_undo:
+                self.history.bring_back(undone=again)
                 self._simulate_readings()
 
     def show_step(self, number: int) -> None:

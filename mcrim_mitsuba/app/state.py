@@ -356,6 +356,7 @@ class History:
         #: Rises with everything for which pages are loaded anew.
         self.bench_number = 0
         self._kept: list[State] = []
+        self._undone: list[State] = []
         # controls that are being moved, and when they were last
         self._moving, self._moved_s = frozenset[str](), 0.0
 
@@ -401,21 +402,30 @@ class History:
             settings, self._moving = self.state.settings, frozenset()
             if effects is not None:
                 settings = replace(settings, effects=effects)
-            self._kept = [*self._kept[1 - _MOST_UNDONE :], replace(self.state, settings=settings)]
+            kept = replace(self.state, settings=settings)
+            self._kept, self._undone = [*self._kept[1 - _MOST_UNDONE :], kept], []
 
     def forget(self) -> None:
         """Let nothing be brought back any more."""
-        self._kept = []
+        self._kept, self._undone = [], []
 
     @property
     def can_undo(self) -> bool:
         """Whether something was kept."""
         return bool(self._kept)
 
-    def bring_back(self) -> None:
-        """Go back to what was kept last, but for the file to be downloaded."""
-        *self._kept, before = self._kept
-        kept = attributes(before, "campaign compared diagnosis anchors")
+    @property
+    def can_redo(self) -> bool:
+        """Whether something was undone, and nothing else done since."""
+        return bool(self._undone)
+
+    def bring_back(self, *, undone: bool = False) -> None:
+        """Go back to what was kept, or `undone`, last; a diagnosis of the same readings stays."""
+        source, other = (self._undone, self._kept) if undone else (self._kept, self._undone)
+        now, before, self._moving = self.state, source.pop(), frozenset()
+        other.append(now)
+        kept = attributes(before, "campaign compared anchors")
+        kept["diagnosis"] = (now if before.campaign is now.campaign else before).diagnosis
         # the campaign's own fit stays, once it is there
         self.set_controls(before.settings, steps=before.steps or self.state.steps[:1], **kept)
 

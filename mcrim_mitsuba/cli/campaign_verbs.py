@@ -247,7 +247,9 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
         repaired = mcrim.repair(read, path, effect=effect, on_step=show, run=run)
     description = describe_campaign.of_repair(repaired, with_steps=live)
     showing.answer(repaired, json_file, figure, description)
-    next_step = f"Next: {showing.command('diagnose', campaign)} says more"
+    diagnose_again = f"{showing.command('diagnose', campaign)} says more"
+    next_step = diagnose_again if repaired.undetermined else _after_diagnosis(campaign, repaired)
+    next_step = f"Next: {next_step}"
     if repaired.campaign_path is not None:
         next_step = (
             f"{repaired.campaign_path} and {repaired.scene_path} were written. "

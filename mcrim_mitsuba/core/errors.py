@@ -26,6 +26,9 @@ class InputError(ValueError):
     from 1 (XML, TOML).
     """
 
+    #: What else was found wrong on the way, independently of it.
+    others: tuple[InputError, ...] = ()
+
     def __init__(
         self,
         problem: str,

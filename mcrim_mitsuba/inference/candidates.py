@@ -76,6 +76,8 @@ class Candidate:
     family: str = ""
     #: How to look for it without any fit.
     look: str = ""
+    #: By how many of its tolerances a number of the bench is off; None where no number is wrong.
+    tolerances_off: float | None = None
 
     @property
     def sizes(self) -> dict[str, ParameterEstimate]:
@@ -117,6 +119,8 @@ class CandidateMaker:
         evidence = self._explanations.evidence(effects)
         parameters = determined_estimates(fit, evidence)
         gained = aicc(fit) - aicc(baseline)
+        sigmas = {t.number.offset_name: t.sigma for t in fit.statistic.model.campaign.tolerances}
+        offs = (abs(parameters[n].value) / sigmas[n] for n in own if n in sigmas)
         of_light = None
         if LIGHT_YIELD in parameters:
             now, before = parameters[LIGHT_YIELD], self._baseline_estimates[LIGHT_YIELD].value
@@ -145,6 +149,7 @@ class CandidateMaker:
             mimics=(),
             family=self._explanations.family(effects),
             look=" ".join(self._explanations.effects[name].look for name in effects),
+            tolerances_off=next(offs, None),
         )
 
     def _collinearity(self, fit: Minimum, own: list[str]) -> float:

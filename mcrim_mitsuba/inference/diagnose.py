@@ -60,8 +60,8 @@ from mcrim_mitsuba.inference.weighing import (
 )
 from mcrim_mitsuba.runs.executors import more_units_follow
 
-#: What is told of a diagnosis (`core.run.JobProgress`): its parts, and their usual times, s.
-PARTS = (("sim", 15), ("sim", 35), ("sim", 36), ("trying", 7), ("weighing", 14), ("proposed", 8))
+#: What is told of a diagnosis (`core.run.JobProgress`): its parts, and their usual times, %.
+PARTS = (("sim", 19), ("sim", 36), ("sim", 32), ("trying", 4), ("weighing", 6), ("proposed", 3))
 
 
 # ---- the steps of a repair ----

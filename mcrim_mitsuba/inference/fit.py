@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,7 +17,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes, plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.core.rounding import p_equals
+from mcrim_mitsuba.core.rounding import p_equals, short_text
 from mcrim_mitsuba.inference.drivers import Minimum, find_minima
 from mcrim_mitsuba.inference.estimates import (
     FittedRow,
@@ -180,6 +181,7 @@ def result_of(minima: list[Minimum], *, profile: bool) -> Calibration:
         *notes_of_intervals,
         *_notes_of_simulation(fit.parameters),
         *_notes_of_interpolation(statistic, prediction),
+        *_notes_of_likeness(model, prediction),
     ]
     if campaign.light_yield is not None and SCALE not in fit.parameters:
         notes.append("no light yield: the scale is held, not fitted")
@@ -383,3 +385,17 @@ def _notes_of_interpolation(statistic: Statistic, prediction: Prediction) -> Ite
             f"interpolation between simulations may be off by {worst:.1f} of a reading's sigma: "
             "give narrower min and max"
         )
+
+
+def _notes_of_likeness(model: Model, prediction: Prediction) -> Iterator[str]:
+    """Which readings that differ in one column are predicted alike: it changes nothing there."""
+    rows = sorted(zip(prediction.eta.tolist(), model.readings, strict=True), key=lambda row: row[0])
+    for (eta, first), (other_eta, second) in itertools.pairwise(rows):
+        of, of_other = first.parameters, second.parameters
+        columns = [n for n in model.campaign.measurements.columns if of.get(n) != of_other.get(n)]
+        if other_eta - eta <= FIT_NOTES.alike * other_eta and len(columns) == 1:
+            values = (short_text(where.get(columns[0])) for where in (of, of_other))
+            yield (
+                f"{columns[0]} {' and '.join(values)} change nothing here: the model predicts the "
+                f"same of {first.label} and {second.label}, to 1e-4"
+            )

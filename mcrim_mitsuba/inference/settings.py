@@ -112,6 +112,8 @@ class FitNotes:
     #: writing; and the same of each of two readings, from their middle.
     far_off: float = 5.0
     two_apart: float = 1.8
+    #: Relative difference of predictions below which what tells two readings apart changes nothing.
+    alike: float = 1e-4
     #: Part of alpha_scat's range, in its logarithm, next to an end that counts as being there.
     edge: float = 0.03
 

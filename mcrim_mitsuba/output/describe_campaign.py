@@ -419,7 +419,8 @@ def _yield_with(candidate: Candidate) -> Cell:
     if not light:
         return Cell("")
     change = light.get("change")
-    in_brackets = "" if change is None else f" ({sentences.change_text(change)})"
+    in_percent = "" if change is None else f" ({100 * change:+.1f} %)"
+    in_brackets = " (0 %)" if in_percent[3:] == "0.0 %)" else in_percent
     return Cell(number(light["value"]) + in_brackets, light["value"], light.get("sigma"))
 
 
@@ -472,7 +473,7 @@ def explanation_tables(diagnosis: Diagnosis) -> list[Table]:
 
 def explanation_pieces(diagnosis: Diagnosis) -> list[Piece]:
     """What columns of explanations mean, families of effects, and what is alike."""
-    families = f"By family (of two in both): {sentences.family_probabilities(diagnosis)}"
+    families = f"By family (they may act together): {sentences.family_probabilities(diagnosis)}"
     return [
         _LEGEND_OF_EXPLANATIONS if diagnosis.candidates else "",
         families if diagnosis.families else "",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import math
 import textwrap
 import warnings
@@ -141,6 +142,25 @@ def shortened(name: str, most: int = 34) -> str:
     head = most // 2
     tail = most - head - 1  # the ellipsis is a character too
     return f"{name[:head].rstrip()}…{name[-tail:].lstrip()}"
+
+
+def shortened_apart(names: Sequence[str], most: int = 34) -> list[str]:
+    """Names of at most so many characters, no two alike: without words that all share if too long.
+
+    Names that are alike even then have their number before them, counted from 1.
+    """
+    words = [visible(name).split() for name in names]
+    for _ in range(2):  # from their beginnings, then backwards from their ends
+        if any(len(" ".join(name)) > most for name in words):
+            columns = zip(*(name[:-1] for name in words), strict=False)  # a word stays of each
+            shared = sum(1 for _ in itertools.takewhile(lambda at: len(set(at)) == 1, columns))
+            words = [name[shared:] for name in words]
+        words = [name[::-1] for name in words]
+    short = [shortened(" ".join(name).strip(",;"), most) for name in words]
+    if len(set(short)) == len(set(names)):
+        return short
+    places = [f"{place}: " for place in range(1, len(names) + 1)]
+    return [p + shortened(name, most - len(p)) for p, name in zip(places, short, strict=True)]
 
 
 def entitle(figure: Figure, words: str, weight: str = "bold") -> None:

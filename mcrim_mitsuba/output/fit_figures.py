@@ -191,7 +191,7 @@ def _over_readings(
     rows: Sequence[FittedRow], heights: tuple[float, float]
 ) -> tuple[Figure, Axes, Axes]:
     """Upper and lower axes, their heights in this ratio, over the names of the readings."""
-    names = [style.shortened(row.label) for row in rows]
+    names = style.shortened_apart([row.label for row in rows])
     longest_inches = _PER_CHARACTER * max(map(len, names), default=0)
     width = min(max(8.0, _MARGINS + _PER_READING * len(names)), _WIDEST)
     upright = longest_inches >= 0.85 * (width - _MARGINS) / max(len(names), 1)

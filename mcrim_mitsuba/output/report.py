@@ -136,8 +136,8 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
     figure = style.canvas(8.4, 3.9)
     left, right = figure.subplots(1, 2)
     looks = ({"color": style.WARM, "ls": "--"}, {"color": style.DARK, "ls": "-"})
-    for eta, label, look in zip(curve.eta.T, curve.labels, looks, strict=True):
-        name = style.shortened(label, 24)
+    names = style.shortened_apart(curve.labels, 24)
+    for eta, name, look in zip(curve.eta.T, names, looks, strict=True):
         left.plot(curve.alpha_scat_per_cm, eta, lw=2, label=name, **look)
     left.set(ylabel="light collection efficiency η", ylim=(0, None))
     style.legend(left)

@@ -107,6 +107,9 @@ def plausibility(candidate: Candidate) -> str:
     if candidate.at_bound:
         # at the end where it is not there, nothing is gained
         return "absent" if abs(candidate.delta_chi2) < _NO_GAIN else "end of its range"
+    if candidate.tolerances_off is not None:
+        doubt = "" if candidate.plausible else "unusual: "
+        return f"{doubt}{candidate.tolerances_off:.1f} tolerances off"
     return "usual size" if candidate.plausible else "unusual size"
 
 
@@ -836,12 +839,6 @@ def gain_text(candidate: Candidate) -> str:
         return "0"
     sigma = candidate.delta_chi2_sigma
     return pdg(candidate.delta_chi2, max(sigma, _NO_GAIN) if sigma else None)
-
-
-def change_text(change: float) -> str:
-    """A relative change in per cent, with its sign: ``+10.5 %``."""
-    text = f"{100 * change:+.1f} %"
-    return "0 %" if text[1:] == "0.0 %" else text
 
 
 def pull_text(pull: float) -> str:

@@ -149,8 +149,9 @@ def indices_of(file: SceneFile, shape: Node) -> tuple[float, float] | None:
 
 def problems_of_text(file: SceneFile) -> list[SceneProblem]:
     """Problems seen without loading; InputError if an index or an axis is no number."""
-    # what a misspelt word was to say would be found missing
-    return _problems_of_words(file) or [
+    if words := _problems_of_words(file):  # what they were to say would be found missing
+        return [*words, *_problems_of_parameters(file)]
+    return [
         *_problems_of_parameters(file),
         *problems_of_counted(file),
         *_problems_of_rotations(file),

@@ -40,6 +40,8 @@ _MOST_FILES = 100
 #: Files one in another.
 _MOST_NESTED = 8
 _MOST_ELEMENTS = 50_000
+#: What is wrong that is told at once.
+_MOST_SLIPS = 20
 #: Places of parameters, and the characters that they bring.
 _MOST_REFERENCES = 50_000
 _MOST_CHARACTERS = 5_000_000
@@ -335,6 +337,8 @@ class _Assembly:
     materials: dict[str, MaterialIndex] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)  # name -> text that replaces $name
     used: set[str] = field(default_factory=set)
+    slips: list[InputError] = field(default_factory=list)  # what is wrong so far
+    broken: set[str] = field(default_factory=set)  # names of which the default is wrong
     files: dict[Node, Path] = field(default_factory=dict)
     included: int = 0
     references: int = 0  # places of parameters, and the characters that they brought
@@ -360,14 +364,24 @@ class _Assembly:
             place: dict[str, Any] = {"path": path, "line": child.sourceline}
             if len(self.files) > _MOST_ELEMENTS:
                 raise InputError(f"more than {_MOST_ELEMENTS:,} elements", _MEANT, **place)
-            if tag == "default":
-                self.declare(child, declared, place)
-                defaults.append(child)
-                continue
-            for key, text in child.items():
-                if "$" in text:
-                    child.set(key, self.substitute(text, place))
-                self.refuse_misread(child, key, text, place)
+            written = child.items()
+            try:
+                if tag == "default":
+                    defaults.append(child)
+                    self.declare(child, declared, place)
+                    continue
+                for key, text in written:
+                    if "$" in text:
+                        child.set(key, self.substitute(text, place))
+                    self.refuse_misread(child, key, text, place)
+            except InputError as slip:
+                if self.broken.isdisjoint(_REFERENCE.findall(str(written))):
+                    self.slips.append(slip)
+                if len(self.slips) == _MOST_SLIPS:
+                    self.refuse_leftovers()
+                if tag == "default":
+                    self.broken.add(child.get("name", ""))
+                    continue
             if tag == "include":
                 self.include(child, chain, place)
             elif len(child):
@@ -547,7 +561,12 @@ class _Assembly:
         parent.remove(element)
 
     def refuse_leftovers(self) -> None:
-        """Refuse overrides of what is not declared, or changes nothing."""
+        """Refuse what was found wrong, and overrides of what is not there, or changes nothing."""
+        for first in self.slips[:1]:
+            # the same at many places is told once, at the first
+            slips = {slip.problem: slip for slip in self.slips[::-1]}.values()
+            first.others = tuple(slip for slip in slips if slip is not first)[::-1]
+            raise first
         for name in self.overrides:
             if name not in self.defaults:
                 problem = f"{name} is not a parameter of this scene"

@@ -379,6 +379,7 @@ def check_scene(
             return CheckReport(tuple(problems), dict(file.parameters))
         simulation = Simulation(file, variant=variant, threads=threads, check=False)
     except InputError as error:
-        place = error.path, error.line, error.column
-        return CheckReport((SceneProblem("file", error.problem, error.mend, *place),), {})
+        slips = (error, *error.others)
+        told = (SceneProblem("file", s.problem, s.mend, s.path, s.line, s.column) for s in slips)
+        return CheckReport(tuple(told), {})
     return check.check_simulation(simulation, light=light)

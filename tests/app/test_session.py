@@ -16,7 +16,7 @@ from mcrim_mitsuba.app import access, exchange, layout
 from mcrim_mitsuba.app.jobs import Jobs, PageJob
 from mcrim_mitsuba.app.page import make_page
 from mcrim_mitsuba.app.session import Session
-from mcrim_mitsuba.app.state import HELD, PRIOR, Known
+from mcrim_mitsuba.app.state import HELD, PRIOR, History, Known, Settings, State
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
@@ -307,6 +307,7 @@ def test_parameters_are_held_or_known(files):
             "scattering known to be 0.4 ± 0.01, absorption held at 0.05"
         )
         written = downloaded(session, folder / "got")
+    assert written.name == "bench_as_shown.toml"  # no effect was added: nothing is mended
     given = read_campaign(written).parameters
     assert given["alpha_abs_per_cm"].fixed and given["alpha_abs_per_cm"].start == 0.05
     assert (given["alpha_scat_per_cm"].prior, given["alpha_scat_per_cm"].prior_sigma) == (0.4, 0.01)
@@ -372,6 +373,35 @@ def test_fits_are_kept_compared_removed_and_undone(files):
             assert len(session.state.steps) == steps
         assert not session.history.can_undo and session.state.campaign is first.campaign
         assert session.state.settings.effects == ("gap_bubble",)  # it was switched on before
+        for steps in (2, 2, 3, 3, 2):
+            session.undo(again=True)
+            assert len(session.state.steps) == steps
+        assert not session.history.can_redo
+
+
+def test_a_diagnosis_stays_with_its_readings_when_things_are_undone():
+    def settings(value):
+        return Settings(values={"a": value})
+
+    def now():
+        state = history.state
+        return state.campaign, state.settings.values["a"], state.diagnosis
+
+    history = History(State("first", settings=settings(0)))
+    history.remember(settings(1), 0)
+    history.change(diagnosis="of first")
+    history.keep()
+    history.change(campaign="second", diagnosis=None)
+    history.bring_back()
+    assert now() == ("first", 1, "of first")
+    history.bring_back()
+    assert now() == ("first", 0, "of first") and not history.can_undo
+    history.bring_back(undone=True)
+    history.bring_back(undone=True)
+    assert now() == ("second", 1, None) and not history.can_redo
+    history.bring_back()
+    history.remember(settings(2), history.settings_number)
+    assert history.can_undo and not history.can_redo  # what is done anew cannot be done again
 
 
 def test_what_is_slid_typed_and_ticked_is_undone(files):

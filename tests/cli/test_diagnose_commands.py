@@ -210,7 +210,7 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
     named = verdict in ("missing_effect", "ambiguous")
     assert ("How to look for it, without a fit:" in lines) == named
     assert (f"- {FIRST}: Polish it again." in lines) == named
-    assert "By family (of two in both): surface 70 %, gap 29 %, nothing missing 1 %" in lines
+    assert "By family (they may act together): surface 70 %, gap 29 %, nothing missing 1 %" in lines
     assert "not tried: nonlinear readout (nonlinearity): excluded" in lines
     assert ("what the readings allow" in out) == (verdict == "adequate")
     if verdict == "adequate":
@@ -488,6 +488,8 @@ def test_repair_says_where_nothing_was_added(mcrim, campaign, found):
     found["repair"] = repaired(by.diagnosis("adequate", repair=by.STEPS[:1]))
     out = mcrim.shown("repair", campaign, "-o", "new.toml")
     assert "Nothing was added, and no file written." in out.splitlines()
+    # as a diagnosis goes on, which is not asked for once more
+    assert out.splitlines()[-1] == LAST_LINES["adequate"]
 
 
 def test_figures_come_with_their_numbers(mcrim, campaign, found):

@@ -22,6 +22,7 @@ from mcrim_mitsuba.inference.repair import repair
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.output.describe_campaign import numbers_of_bench
+from mcrim_mitsuba.output.sentences import plausibility
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 pytestmark = pytest.mark.usefixtures("kept_records")
@@ -279,6 +280,11 @@ def test_a_number_that_is_wrong_is_named(wide):
     assert diagnosis.leading[0] == "wrong:crystal_width_mm", diagnosis.reason
     offset = diagnosis.candidates[0].parameters["wrong_crystal_width_offset_mm"]
     assert abs(offset.value - 0.3) < 3 * offset.sigma < 0.4
+    # and how far off it is stands where a size of others is called usual
+    assert plausibility(diagnosis.candidates[0]) == f"{offset.value / 0.06:.1f} tolerances off"
+    unusual = replace(diagnosis.candidates[0], plausible=False)
+    assert plausibility(unusual) == f"unusual: {offset.value / 0.06:.1f} tolerances off"
+    assert all(c.tolerances_off is None for c in diagnosis.candidates if c.effect in others)
 
 
 def test_light_yields_hold_where_every_number_is_off_by_its_tolerance(wide):

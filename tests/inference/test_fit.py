@@ -721,6 +721,23 @@ def test_a_lost_decimal_point_is_told_with_its_line(campaign):
         assert len(told) == bool(said) and all(note.startswith(said) for note in told), notes
 
 
+def test_masks_and_gaps_that_change_nothing_are_told(campaign):
+    rows = "air,20,1,1,0.05\ngel,20,1,1.46,0.05\nair 2,20,1,1,0.02\ngel 2,20,1,1.46,0.02\n"
+
+    def surfaces(parameters):
+        n, gap = parameters["n_gap"], parameters["gap_mm"]
+        part = 0.99 if gap == 0.02 and n == 1.0 else 1.0
+        return FormulaSurface(lambda *at: part * (air if n == 1.0 else gel)(*at))
+
+    table = f"label,signal,sigma,n_gap,gap_mm\n{rows}again,20,1,1,0.05\n"
+    notes = fit_campaign(campaign(ALPHA, table), surfaces, profile=False).notes
+    (told,) = (note for note in notes if "change nothing" in note)
+    assert told == (
+        "gap_mm 0.05 and 0.02 change nothing here: the model predicts the same of gel and gel 2, "
+        "to 1e-4"
+    )
+
+
 def test_rounding_is_no_contribution(campaign):
     # no Monte Carlo error, and a prior whose rounding must not show in the scale alone
     found = fit_campaign(campaign(ALPHA), couplings(), profile=False).parameters

@@ -43,6 +43,20 @@ HOSTILE = (
 )
 
 
+def test_no_two_readings_have_the_same_short_name():
+    """What all share is left out before anything is elided, and numbers come where that fails."""
+    bench = "CaMoO4 cube of April, polished"
+    names = [f"{bench}, {gap} gap, mounting {m} of 4" for gap in ("air", "gel") for m in (1, 12)]
+    short = figure_style.shortened_apart(names, 24)
+    assert short == ["air gap, mounting 1", "air gap, mounting 12", *short[2:]]
+    assert figure_style.shortened_apart(["air", "wrapped 10 (1275)"], 22)[1] == "wrapped 10 (1275)"
+    alike = [f"wrapped {place} (1275)" for place in (10, 12, 15)]
+    for names in (alike, ["x" * 60 + middle + "y" * 60 for middle in "ab"], HOSTILE, [bench, ""]):
+        for most in (11, 22, 34):
+            short = figure_style.shortened_apart(names, most)
+            assert len(set(short)) == len(names) and max(map(len, short)) <= most, short
+
+
 def fitted(scenes, tmp_path, change=lambda text: text, sigma=0.003):
     """The article's campaign with its text changed: its model and its fit."""
     for name in CAMPAIGN_FILES:

@@ -40,6 +40,24 @@ def edited(*edits: tuple[str, str, str]) -> str:
     return text
 
 
+def test_all_that_is_wrong_with_the_text_is_told_at_once(tmp_path):
+    """Each once, at its first place, and nothing of what uses a default that is wrong itself."""
+    edits = (
+        ("", 'name="gap_mm" value="0.05"', 'name="gap_mm" value="-1"'),
+        ("", 'name="window_thickness_mm" value="1"', 'name="window_thickness_mm" value="1,5"'),
+        ("", "$aperture_radius_mm", "$apertur"),
+    )
+    path = tmp_path / "scene.xml"
+    path.write_text(edited(*edits), encoding="utf-8")
+    problems = [problem.text for problem in check_scene(path).problems]
+    assert problems == [
+        "window_thickness_mm = '1,5' has a decimal comma",
+        "$apertur is not declared above this line",
+        "gap_mm = -1 turns -$gap_mm into '--1', which is no number",
+    ]
+    assert refusal(read_scene, path).endswith("write a decimal point: 1.5")
+
+
 #: Text of the scene, kind of the problem, words that the one line must contain.
 BROKEN = {
     name: (edited(*case["edits"]), case["kind"], case["says"])

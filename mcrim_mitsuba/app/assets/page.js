@@ -130,7 +130,7 @@ function connect(is, words = "The connection to mcrim is lost") {
   document.body.classList.toggle("lost", !is);
   document.querySelector("main").inert = !is;
   $("stop").disabled = !is;
-  $("undo").inert = !is;
+  $("undo").inert = $("redo").inert = !is;
   write(
     $("lost"),
     is ? "" : `${words}: nothing here is kept or computed any more. If it was ended, start ` +
@@ -229,7 +229,7 @@ function present(told) {
   for (const [id, text] of Object.entries(told.texts)) {
     write($(id), text);
   }
-  $("undo").disabled = !told.can_undo;
+  [$("undo").disabled, $("redo").disabled] = [!told.can_undo, !told.can_redo];
   if (!told.cells) {
     pending = true;
     return;
@@ -331,7 +331,7 @@ function update(told) {
       swap(id, html);
     }
     if (diagnosed && !$("verdict")) {
-      changes.lost += "; the diagnosis was of other readings, or is undone";
+      changes.lost += "; the diagnosis was of other readings";
     }
     reachScrolled();
     if (isFirst) {
@@ -341,7 +341,7 @@ function update(told) {
       window.sessionStorage.clear();
     }
     drawFalling($("falling-chart"), told.steps);
-    $("undo").disabled = !told.can_undo;
+    [$("undo").disabled, $("redo").disabled] = [!told.can_undo, !told.can_redo];
     predict();
   }
   showJob(told.job);
@@ -440,7 +440,7 @@ function look() {
 }
 
 const WORDS = {
-  fit: "Fit", add: "Added", undo: "Undo", upload: "Opened", effect: "Fit",
+  fit: "Fit", add: "Added", undo: "Undo", redo: "Redo", upload: "Opened", effect: "Fit",
   back: "As it came", show: "Gone back", remove: "Removed",
   edit: "Readings changed", copy: "Readings changed", drop: "Readings changed",
 };
@@ -480,7 +480,7 @@ document.addEventListener("click", function (event) {
   } else if (button.matches(".running, .waiting") && button.dataset.key) {
     act("stop", button.dataset.key);
   } else if (button.dataset.do) {
-    if (isEntered() || ["stop", "undo", "back", "show"].includes(button.dataset.do)) {
+    if (isEntered() || ["stop", "undo", "redo", "back", "show"].includes(button.dataset.do)) {
       act(button.dataset.do, button.dataset.name).then(function (told) {
         if (button.dataset.do === "copy" && told && !told.slip) {
           rows.lastElementChild.querySelector(".name").select();
@@ -491,6 +491,15 @@ document.addEventListener("click", function (event) {
     }
   } else if (button.id === "upload-button") {
     file.click();
+  }
+});
+
+// in a field for text the browser undoes what was typed there
+document.addEventListener("keydown", function (event) {
+  const isText = event.target.matches("input:not([type=range], [type=checkbox], [type=radio])");
+  if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && !isText) {
+    event.preventDefault();
+    $(event.shiftKey ? "redo" : "undo").click();
   }
 });
 
