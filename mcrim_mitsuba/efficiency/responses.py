@@ -113,11 +113,11 @@ class EffectResponse:
 
         With its slopes by each of them.
         """
-        each = [axis.weights(value) for axis, value in zip(self.axes, values, strict=True)]
-        weights = [_outer([weights for weights, _ in each])]
-        for i in range(len(each)):
-            weights.append(_outer([own[i == j] for j, own in enumerate(each)]))
-        shape = self.log_ratio.shape[len(each) :]
+        of_axes = [axis.weights(value) for axis, value in zip(self.axes, values, strict=True)]
+        weights = [_outer([weights for weights, _ in of_axes])]
+        for i in range(len(of_axes)):
+            weights.append(_outer([pair[i == j] for j, pair in enumerate(of_axes)]))
+        shape = self.log_ratio.shape[len(of_axes) :]
         of_nodes = self.log_ratio.reshape(len(weights[0]), -1)
         return (np.array(weights) @ of_nodes).reshape(-1, *shape)
 
