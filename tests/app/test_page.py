@@ -212,6 +212,7 @@ def test_what_is_typed_is_what_is_meant(browser, campaign, shared_cache):
 
 def test_each_error_and_each_axis_says_what_it_is(browser, campaign, shared_cache):
     with running(campaign, shared_cache, browser) as app:
+        assert not browser.find("#falling-chart").is_displayed()  # one fit would be a dot
         app.switch_on("gap_bubble")
         browser.click("#fit")
         browser.wait_for(lambda: "with air bubble in the gap" in browser.text("#fitted"), "fit")

@@ -287,9 +287,11 @@ const FALLING = 200;
 
 // chi2 over its degrees of freedom; at 1 the model describes the readings
 export function drawFalling(place, steps) {
-  const width = place.clientWidth;
   const heights = steps.map((step) => step.height).filter((height) => height > 0);
   place.replaceChildren();
+  // one fit falls from nothing: the table below says it
+  place.hidden = heights.length < 2;
+  const width = place.clientWidth;
   const svg = drawing(place, width, TOP + FALLING + 26,
     "chi2 over degrees of freedom of every fit; at 1 the model describes the readings");
   const [low, high] = [Math.min(1, ...heights) / 1.5, 1.8 * Math.max(2, ...heights)];
