@@ -456,9 +456,12 @@ def explanation_tables(diagnosis: Diagnosis) -> list[Table]:
 def explanation_pieces(diagnosis: Diagnosis) -> list[Piece]:
     """What columns of explanations mean, families of effects, and what is alike."""
     families = f"By family (of two in both): {sentences.family_probabilities(diagnosis)}"
-    legend = _LEGEND_OF_EXPLANATIONS if diagnosis.candidates else ""
-    alike = (sentences.mistakable(diagnosis), sentences.capability_text(diagnosis))
-    return [legend, families if diagnosis.families else "", *alike]
+    return [
+        _LEGEND_OF_EXPLANATIONS if diagnosis.candidates else "",
+        families if diagnosis.families else "",
+        sentences.mistakable(diagnosis),
+        sentences.capability_text(diagnosis),
+    ]
 
 
 def others_table(diagnosis: Diagnosis, simulated: Calibration, effects: tuple[str, ...]) -> Table:
