@@ -190,11 +190,8 @@ def _controls(campaign: Campaign, simulations: CampaignSimulations) -> Controls:
     readings = campaign.measurements.readings
     largest_signal = max(abs(reading.signal) for reading in readings)
     # sliders are the bench's, not those of a beam
-    benches = [
-        campaign.values | values
-        for values, reading in zip(configurations(campaign), readings, strict=True)
-        if not reading.of_beam
-    ]
+    pairs = zip(configurations(campaign), readings, strict=True)
+    benches = [campaign.values | values for values, reading in pairs if not reading.of_beam]
     scope = (campaign.values, benches or [campaign.values], largest_signal)
     effects = {
         name: (effect, tuple(effect_control(parameter, *scope) for parameter in effect.parameters))

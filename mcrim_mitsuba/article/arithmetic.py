@@ -63,100 +63,67 @@ def _corrected(percent: float, n: float) -> Array:
     return 100 * slab.internal_transmittance(percent / 100, n)
 
 
+def _alpha_abs(percent: Array | float, mm: float) -> Array | float:
+    """Eq. 4: the absorption coefficient, 1/cm, of a transmittance in %."""
+    return slab.absorption_coefficient(percent / 100, mm)
+
+
 def transmittance_rows() -> Iterator[ArticleRow]:
     """Eq. 4 both ways, and the correction of Section 4."""
     for line in p.TABLE_1:
         percent, alpha = line.transmittance_percent, line.alpha_abs_per_cm
-        yield compare(
-            f"alpha_abs from T = {percent.text} %, Eq. 4",
-            alpha,
-            from_printed(
-                lambda t, d: slab.absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM
-            ),
-            inconsistent=line == p.NOMINAL,
-        )
-        yield compare(
-            f"T from alpha_abs = {alpha.text} /cm, Eq. 4",
-            percent,
-            from_printed(lambda a, d: 100 * slab.transmittance(a, d), alpha, p.CRYSTAL_MM),
-            inconsistent=line == p.NOMINAL,
-        )
+        nominal = line == p.NOMINAL
+        what = f"alpha_abs from T = {percent.text} %, Eq. 4"
+        of_t = from_printed(_alpha_abs, percent, p.CRYSTAL_MM)
+        yield compare(what, alpha, of_t, inconsistent=nominal)
+        what = f"T from alpha_abs = {alpha.text} /cm, Eq. 4"
+        of_alpha = from_printed(lambda a, d: 100 * slab.transmittance(a, d), alpha, p.CRYSTAL_MM)
+        yield compare(what, percent, of_alpha, inconsistent=nominal)
     measured = (p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)
     corrected = from_printed(_corrected, *measured)
-    yield compare(
-        "T from the measured 76 %, Sec. 4",
-        p.CORRECTED_TRANSMITTANCE,
-        corrected,
-        inconsistent=True,
-        remark="all orders of reflection, added without interference; the rounding of 76 % "
-        f"and 2.01 is worth ±{corrected.rounding:.1f} %",
-    )
-    yield compare(
-        "alpha_abs from the measured 76 %, Sec. 4",
-        p.NOMINAL.alpha_abs_per_cm,
-        from_printed(
-            lambda t, n, d: slab.absorption_coefficient(_corrected(t, n) / 100, d),
-            *measured,
-            p.CRYSTAL_MM,
-        ),
-        inconsistent=True,
-    )
+    of_digits = f"the rounding of 76 % and 2.01 is worth ±{corrected.rounding:.1f} %"
+    remark = f"all orders of reflection, added without interference; {of_digits}"
+    what, paper = "T from the measured 76 %, Sec. 4", p.CORRECTED_TRANSMITTANCE
+    yield compare(what, paper, corrected, inconsistent=True, remark=remark)
+    what, paper = "alpha_abs from the measured 76 %, Sec. 4", p.NOMINAL.alpha_abs_per_cm
+    ours = from_printed(lambda t, n, d: _alpha_abs(_corrected(t, n), d), *measured, p.CRYSTAL_MM)
+    yield compare(what, paper, ours, inconsistent=True)
 
 
 def bare_crystal_rows() -> Iterator[ArticleRow]:
     """Eq. 6 as a closed form."""
-    yield compare(
-        "one face, n = 2.01, Eq. 6",
-        p.ETA_FACE_AIR,
-        from_printed(lambda n: 100 * escape_fraction(n), p.N_CRYSTAL),
-    )
-    yield compare(
-        "relative index to gel, 2.01/1.46",
-        p.RELATIVE_INDEX_GEL,
-        from_printed(lambda n, m: n / m, p.N_CRYSTAL, p.N_GEL),
-    )
-    yield compare(
-        "one face, n = 2.01/1.46, Eq. 6",
-        p.ETA_FACE_GEL,
-        from_printed(lambda n, m: 100 * escape_fraction(n / m), p.N_CRYSTAL, p.N_GEL),
-    )
-    yield compare(
-        "one face, the stated n = 1.38, Eq. 6",
-        p.ETA_FACE_GEL,
-        100 * escape_fraction(p.RELATIVE_INDEX_GEL.value),
-        inconsistent=True,
-        remark="15.6 % needs the index before it was rounded",
-    )
-    yield compare(
-        "trapped for ever, n = 2.01, 1 - 6 faces",
-        None,
-        100 * trapped_fraction(p.N_CRYSTAL.value),
-        unit="%",
-    )
+    indices = (p.N_CRYSTAL, p.N_GEL)
+    face = from_printed(lambda n: 100 * escape_fraction(n), p.N_CRYSTAL)
+    yield compare("one face, n = 2.01, Eq. 6", p.ETA_FACE_AIR, face)
+    index = from_printed(lambda n, m: n / m, *indices)
+    yield compare("relative index to gel, 2.01/1.46", p.RELATIVE_INDEX_GEL, index)
+    face = from_printed(lambda n, m: 100 * escape_fraction(n / m), *indices)
+    yield compare("one face, n = 2.01/1.46, Eq. 6", p.ETA_FACE_GEL, face)
+    what, remark = "the stated n = 1.38, Eq. 6", "15.6 % needs the index before it was rounded"
+    of_stated = 100 * escape_fraction(p.RELATIVE_INDEX_GEL.value)
+    yield compare(f"one face, {what}", p.ETA_FACE_GEL, of_stated, inconsistent=True, remark=remark)
+    trapped = 100 * trapped_fraction(p.N_CRYSTAL.value)
+    yield compare("trapped for ever, n = 2.01, 1 - 6 faces", None, trapped, unit="%")
 
 
 def ratio_rows() -> Iterator[ArticleRow]:
     """Eq. 5 from the two signals."""
     ratio = article_ratio()
     of_gel, of_air = (100 * n.stated_sigma / n.value for n in (p.SIGNAL_GEL, p.SIGNAL_AIR))
+    printed = from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL)
     yield compare(
         "R = 14.3/24.5, Eq. 5",
         p.RATIO,
         ratio.value,
         sigma=ratio.sigma,
         difference_sigma=0.0,
-        rounding=from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL).rounding,
+        rounding=printed.rounding,
         remark=f"{ratio.value:.4f} ± {ratio.sigma:.4f}: the article cuts digits off "
         "where rounding gives 0.584 ± 0.013",
     )
     yield compare("relative error of N_gel, Sec. 6.3", p.SIGNAL_ERROR, of_gel)
-    yield compare(
-        "relative error of N_air",
-        None,
-        of_air,
-        unit="%",
-        remark="the article takes the larger one, 1.6 %, for both",
-    )
+    remark = "the article takes the larger one, 1.6 %, for both"
+    yield compare("relative error of N_air", None, of_air, unit="%", remark=remark)
 
 
 def light_yield_rows() -> Iterator[ArticleRow]:
@@ -170,15 +137,10 @@ def light_yield_rows() -> Iterator[ArticleRow]:
         printed = from_printed(
             lambda n, e, h, k: n / (e * h / 100 * k), signal, p.EFFICIENCY, eta, p.ENERGY_KEV
         )
+        what, of_digits = f"{name}, the article's eta = {eta.text} %", printed.rounding
         covered = f"rounds to {ours.value:.1f}, which the rounding of {eta.text} % covers"
-        yield compare(
-            f"{name}, the article's eta = {eta.text} %",
-            paper,
-            ours,
-            difference_sigma=0.0,
-            rounding=printed.rounding,
-            remark="" if round(ours.value, 1) == paper.value else covered,
-        )
+        remark = "" if round(ours.value, 1) == paper.value else covered
+        yield compare(what, paper, ours, difference_sigma=0.0, rounding=of_digits, remark=remark)
     low, middle, high = (line.etas_percent for line in p.TABLE_1)
     spread = max(
         from_printed(lambda a, b: 100 * abs(a / b - 1), eta, nominal)
@@ -187,16 +149,11 @@ def light_yield_rows() -> Iterator[ArticleRow]:
     )
     remark = "largest deviation from the middle line: 28/25 and 48/43"
     yield compare("error of eta: spread of Table 1", p.ETA_ERROR, spread, remark=remark)
-    yield compare(
-        "total error: 12, 10, 1.6 % in quadrature",
-        p.TOTAL_ERROR,
-        from_printed(math.hypot, p.ETA_ERROR, p.EFFICIENCY_ERROR, p.SIGNAL_ERROR),
-    )
-    yield compare(
-        "total error: 16 % of 7.5",
-        p.printed(str(p.LIGHT_YIELD.sigma), "Sec. 6.3", "ph/keV"),
-        from_printed(lambda y, e: y * e / 100, p.LIGHT_YIELD, p.TOTAL_ERROR),
-    )
+    total = from_printed(math.hypot, p.ETA_ERROR, p.EFFICIENCY_ERROR, p.SIGNAL_ERROR)
+    yield compare("total error: 12, 10, 1.6 % in quadrature", p.TOTAL_ERROR, total)
+    stated = p.printed(str(p.LIGHT_YIELD.sigma), "Sec. 6.3", "ph/keV")
+    total = from_printed(lambda y, e: y * e / 100, p.LIGHT_YIELD, p.TOTAL_ERROR)
+    yield compare("total error: 16 % of 7.5", stated, total)
 
 
 def with_eta_error(eta: float) -> Uncertain:
@@ -220,15 +177,9 @@ def relative_yield(eta: Uncertain, cawo4_eta: Uncertain) -> Uncertain:
 
     They are independent. Arguments are the efficiencies of CaMoO4 and CaWO4 at the air gap.
     """
-    return light_yield_by_reference(
-        SIGNALS[0],
-        eta.own("CaMoO4"),
-        efficiency(p.EFFICIENCY).own("CaMoO4"),
-        CAWO4_SIGNAL,
-        cawo4_eta.own("CaWO4"),
-        efficiency(p.CAWO4_EFFICIENCY).own("CaWO4"),
-        CAWO4_YIELD,
-    )
+    ours = (SIGNALS[0], eta.own("CaMoO4"), efficiency(p.EFFICIENCY).own("CaMoO4"))
+    theirs = (cawo4_eta.own("CaWO4"), efficiency(p.CAWO4_EFFICIENCY).own("CaWO4"))
+    return light_yield_by_reference(*ours, CAWO4_SIGNAL, *theirs, CAWO4_YIELD)
 
 
 def relative_rows() -> Iterator[ArticleRow]:
@@ -237,41 +188,23 @@ def relative_rows() -> Iterator[ArticleRow]:
     stated = relative_yield(with_eta_error(p.RELATIVE_ETA.value), cawo4_eta)
     of_table_1 = relative_yield(with_eta_error(p.NOMINAL.eta_air_percent.value / 100), cawo4_eta)
     # Eq. 7 once more, of the printed digits; _w is CaWO4, h a detector's efficiency
+    of_cawo4 = (p.CAWO4_SIGNAL, p.CAWO4_ETA, p.CAWO4_EFFICIENCY, p.CAWO4_YIELD)
     printed = from_printed(
         lambda n, eta, h, n_w, eta_w, h_w, y_w: n * h_w * eta_w / 100 / (n_w * h * eta) * y_w,
-        p.SIGNAL_AIR,
-        p.RELATIVE_ETA,
-        p.EFFICIENCY,
-        p.CAWO4_SIGNAL,
-        p.CAWO4_ETA,
-        p.CAWO4_EFFICIENCY,
-        p.CAWO4_YIELD,
+        *(p.SIGNAL_AIR, p.RELATIVE_ETA, p.EFFICIENCY, *of_cawo4),
     )
-    alone = _signals_alone()
-    yield compare(
-        "Y, stated eta = 0.23, Eq. 7",
-        p.RELATIVE_YIELD,
-        stated,
-        difference_sigma=0.0,
-        rounding=printed.rounding,
-    )
-    yield compare("Y, Table 1's 25 %, Eq. 7", p.RELATIVE_YIELD, of_table_1, inconsistent=True)
-    yield compare(
-        "error of Eq. 7",
-        p.printed("1.7", "Eq. 7", "ph/keV"),
-        stated.sigma,
-        remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",
-    )
-    yield compare(
-        "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON, alone, inconsistent=True
-    )
-    yield compare(
-        "with the efficiencies",
-        p.SIMPLE_COMPARISON,
-        alone * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value,
-        inconsistent=True,
-        remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies as well",
-    )
+    alone, paper, of_digits = _signals_alone(), p.RELATIVE_YIELD, printed.rounding
+    what = "Y, stated eta = 0.23, Eq. 7"
+    yield compare(what, paper, stated, difference_sigma=0.0, rounding=of_digits)
+    yield compare("Y, Table 1's 25 %, Eq. 7", paper, of_table_1, inconsistent=True)
+    error = p.printed("1.7", "Eq. 7", "ph/keV")
+    remark = "12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts"
+    yield compare("error of Eq. 7", error, stated.sigma, remark=remark)
+    what, paper = "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON
+    yield compare(what, paper, alone, inconsistent=True)
+    what, ours = "with the efficiencies", alone * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value
+    remark = "equal collection alone overrates the yield: 5.6 takes equal efficiencies as well"
+    yield compare(what, paper, ours, inconsistent=True, remark=remark)
 
 
 def _signals_alone() -> float:
@@ -287,11 +220,8 @@ def table_2_rows() -> Iterator[ArticleRow]:
         ("[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, p.KIM_ASSUMED_ETA),
         ("[13] corrected: 3.5/(0.56 x 0.80)", p.KIM_CORRECTED, p.WRAPPED_ETA),
     ):
-        yield compare(
-            quantity,
-            paper,
-            from_printed(lambda y, h, e: y / (h * e / 1e4), p.KIM_MEASURED, eta, p.KIM_EFFICIENCY),
-        )
+        inputs = (p.KIM_MEASURED, eta, p.KIM_EFFICIENCY)
+        yield compare(quantity, paper, from_printed(lambda y, h, e: y / (h * e / 1e4), *inputs))
 
 
 def quoted_rows() -> Iterator[ArticleRow]:

@@ -128,76 +128,52 @@ def _transmittance_rows(etas: Mapping[str, float]) -> Iterator[ArticleRow]:
     measured = p.MEASURED_TRANSMITTANCE.value / 100
     smooth = brentq(lambda rms: hazy_transmittance(rms) - measured, 0.0, p.ROUGHNESS_NM.value)
     ratio = etas["forward, air"] / etas["forward, gel"]
-    yield compare(
-        "transmittance with the fitted alpha_scat and alpha_abs, Eqs. 3-4",
-        p.MEASURED_TRANSMITTANCE,
-        100 * _predicted(),
-        inconsistent=True,
-        remark="polished faces, all scattered light lost: within 5 degrees of the beam a "
-        "detector sees 0.05 % more",
-    )
-    yield compare(
-        "the same into a sphere",
-        p.MEASURED_TRANSMITTANCE,
-        100 * etas["sphere"],
-        inconsistent=True,
-        remark="all that is scattered forward and leaves is taken",
-    )
-    yield compare(
-        f"the same into a sphere, scattering forward (g = {_FORWARD_G:g})",
-        p.MEASURED_TRANSMITTANCE,
+    paper = p.MEASURED_TRANSMITTANCE
+    what = "transmittance with the fitted alpha_scat and alpha_abs, Eqs. 3-4"
+    lost = "polished faces, all scattered light lost"
+    remark = f"{lost}: within 5 degrees of the beam a detector sees 0.05 % more"
+    yield compare(what, paper, 100 * _predicted(), inconsistent=True, remark=remark)
+    what, percent = "the same into a sphere", 100 * etas["sphere"]
+    remark = "all that is scattered forward and leaves is taken"
+    yield compare(what, paper, percent, inconsistent=True, remark=remark)
+    what, percent = (
+        f"{what}, scattering forward (g = {_FORWARD_G:g})",
         100 * etas["forward, sphere"],
-        judged=False,
-        remark=f"the nearest single rescue, at a ratio of {ratio:.3f} where {p.RATIO.text} was "
-        "measured: more scattering mends this and spoils the transmittance",
     )
-    yield compare(
-        f"transmittance, if {p.ROUGHNESS_NM.text} nm are the rms of the faces, Sec. 4",
-        p.MEASURED_TRANSMITTANCE,
-        100 * hazy_transmittance(p.ROUGHNESS_NM.value),
-        judged=False,
-        remark=f"with a clear bulk; {p.MEASURED_TRANSMITTANCE.text} % allows {smooth:.0f} nm",
+    remark = (
+        f"the nearest single rescue, at a ratio of {ratio:.3f} where {p.RATIO.text} was "
+        "measured: more scattering mends this and spoils the transmittance"
     )
-    yield compare(
-        "alpha_scat + alpha_abs that the transmittance allows",
-        p.ALPHA_SCAT,
-        slab.absorption_coefficient(
-            slab.internal_transmittance(measured, p.N_CRYSTAL.value), p.CRYSTAL_MM.value
-        ),
-        inconsistent=True,
-        remark="the article fits 0.54 /cm of scattering alone",
-    )
+    yield compare(what, paper, percent, judged=False, remark=remark)
+    what = f"transmittance, if {p.ROUGHNESS_NM.text} nm are the rms of the faces, Sec. 4"
+    remark = f"with a clear bulk; {paper.text} % allows {smooth:.0f} nm"
+    hazy = 100 * hazy_transmittance(p.ROUGHNESS_NM.value)
+    yield compare(what, paper, hazy, judged=False, remark=remark)
+    what = "alpha_scat + alpha_abs that the transmittance allows"
+    internal = slab.internal_transmittance(measured, p.N_CRYSTAL.value)
+    both = slab.absorption_coefficient(internal, p.CRYSTAL_MM.value)
+    remark = "the article fits 0.54 /cm of scattering alone"
+    yield compare(what, p.ALPHA_SCAT, both, inconsistent=True, remark=remark)
 
 
 def _fit_rows(contradiction: Contradiction) -> Iterator[ArticleRow]:
     """The misfit of the three numbers, and the light yield that they allow."""
     diagnosis, ignorant = contradiction.diagnosis, contradiction.ignorant
-    yield compare(
-        "chi2 of 14.3, 24.5 and 76 % in one fit, 1 degree of freedom",
-        None,
-        diagnosis.baseline.chi2,
-        unit="",
-        remark=f"{_as_pull(diagnosis.baseline)}; errors as in {CAMPAIGN}",
-    )
-    yield compare(
-        "the same, light unpolarised and born everywhere",
-        None,
-        ignorant.chi2,
-        unit="",
-        remark=_as_pull(ignorant),
-    )
-    averaged = diagnosis.light_yield_averaged
+    baseline, averaged = diagnosis.baseline, diagnosis.light_yield_averaged
+    what = "chi2 of 14.3, 24.5 and 76 % in one fit, 1 degree of freedom"
+    remark = f"{_as_pull(baseline)}; errors as in {CAMPAIGN}"
+    yield compare(what, None, baseline.chi2, unit="", remark=remark)
+    what = "the same, light unpolarised and born everywhere"
+    yield compare(what, None, ignorant.chi2, unit="", remark=_as_pull(ignorant))
     if averaged is not None:
-        yield compare(
-            "light yield, averaged over what the three numbers allow",
-            p.LIGHT_YIELD,
-            averaged.value,
-            sigma=averaged.sigma,
-            judged=False,
-            remark=f"±{averaged.within:.2f} within explanations, ±{averaged.between:.2f} "
+        what, value = "light yield, averaged over what the three numbers allow", averaged.value
+        remark = (
+            f"±{averaged.within:.2f} within explanations, ±{averaged.between:.2f} "
             f"between them, ±{averaged.catalogue:.2f} for what is in no catalogue; the light "
-            "yields of the best four are in the sentences below",
+            "yields of the best four are in the sentences below"
         )
+        sigma = averaged.sigma
+        yield compare(what, p.LIGHT_YIELD, value, sigma=sigma, judged=False, remark=remark)
 
 
 def _predicted() -> float:

@@ -97,26 +97,19 @@ _ETAS = ("eta_air", "eta_gel")
 
 def bare_crystal_rows(simulated: Simulated) -> Iterator[ArticleRow]:
     """Eq. 6 by Mitsuba: all light that leaves a crystal without losses, over its six faces."""
-    for (n, result), paper in zip(
-        simulated.bare.items(), (p.ETA_FACE_AIR, p.ETA_FACE_GEL), strict=True
-    ):
+    faces = (p.ETA_FACE_AIR, p.ETA_FACE_GEL)
+    for (n, result), paper in zip(simulated.bare.items(), faces, strict=True):
         face = 100 * (1 - result.budget["truncated"]) / 6
         sigma = 100 * result.budget_sigma["truncated"] / 6
         exact = 100 * escape_per_face(n)
         remark = f"closed form of this geometry {exact:.3f} %, {_distance(face, exact, sigma)}"
         if n < math.sqrt(2):
-            remark += (
-                "; below n = sqrt(2) the six escape cones overlap, and Eq. 6 counts the light "
-                "in two of them twice"
-            )
-        yield compare(
-            f"one face, n = {n:.4g}, by Mitsuba",
-            paper,
-            face,
-            sigma=sigma,
-            difference_sigma=math.hypot(sigma, p.ZEMAX_FACE_RELATIVE_ERROR * paper.value),
-            remark=f"{remark}; the article's own limit of 1 % enters the verdict",
-        )
+            twice = "the six escape cones overlap, and Eq. 6 counts the light in two of them twice"
+            remark += f"; below n = sqrt(2) {twice}"
+        of_both = math.hypot(sigma, p.ZEMAX_FACE_RELATIVE_ERROR * paper.value)
+        remark += "; the article's own limit of 1 % enters the verdict"
+        what = f"one face, n = {n:.4g}, by Mitsuba"
+        yield compare(what, paper, face, sigma=sigma, difference_sigma=of_both, remark=remark)
     result = simulated.bare[p.N_CRYSTAL.value]
     trapped, sigma = 100 * result.budget["truncated"], 100 * result.budget_sigma["truncated"]
     distance = _distance(trapped, float(100 * trapped_fraction(p.N_CRYSTAL.value)), sigma)
@@ -148,22 +141,12 @@ def bench_rows(simulated: Simulated, photons: int) -> Iterator[ArticleRow]:
     )
     for what, number, ours in stated:
         yield compare(what, number, float(ours))
-    yield compare(
-        "source smaller than the crystal by",
-        p.SOURCE_MARGIN_MM,
-        0.0,
-        judged=False,
-        remark="ours fills the crystal: there is no surface to keep off",
-    )
-    yield compare(
-        "rays per point; ours: per curve",
-        p.RAYS,
-        photons,
-        judged=False,
-        remark="100,000 rays alone leave an error of "
-        f"{100 * article_monte_carlo_sigma(0.25):.2f} % (of all light) on an efficiency "
-        "of 25 %",
-    )
+    what, remark = "source smaller than", "ours fills the crystal: there is no surface to keep off"
+    yield compare(f"{what} the crystal by", p.SOURCE_MARGIN_MM, 0.0, judged=False, remark=remark)
+    of_rays = f"{100 * article_monte_carlo_sigma(0.25):.2f} % (of all light)"
+    remark = f"100,000 rays alone leave an error of {of_rays} on an efficiency of 25 %"
+    what = "rays per point; ours: per curve"
+    yield compare(what, p.RAYS, photons, judged=False, remark=remark)
 
 
 def table_1_rows(simulated: Simulated) -> Iterator[ArticleRow]:
@@ -172,14 +155,15 @@ def table_1_rows(simulated: Simulated) -> Iterator[ArticleRow]:
         ours, printed = line.alpha_scat, line.printed
         statistical, monte_carlo = (ours.contributions[n] for n in ("statistical", "monte_carlo"))
         of_rays = p.RATIO.value * _relative_sigma_of_ratio(line.etas) / abs(line.ratio_slope_cm)
+        of_both = math.hypot(monte_carlo, of_rays)
+        what = f"alpha_scat, T = {printed.transmittance_percent.text} %, {_WORD[line.polarised]}"
+        paper = p.ALPHA_SCAT if printed == p.NOMINAL else printed.alpha_scat_per_cm
+        remark = (
+            f"{ours.value:.3f} ± {statistical:.3f} (from R) ± {monte_carlo:.3f} (Monte "
+            f"Carlo); the article's rays leave ±{of_rays:.3f} on its own"
+        )
         yield compare(
-            f"alpha_scat, T = {printed.transmittance_percent.text} %, {_WORD[line.polarised]}",
-            p.ALPHA_SCAT if printed == p.NOMINAL else printed.alpha_scat_per_cm,
-            ours.value,
-            sigma=ours.sigma,
-            difference_sigma=math.hypot(monte_carlo, of_rays),
-            remark=f"{ours.value:.3f} ± {statistical:.3f} (from R) ± {monte_carlo:.3f} (Monte "
-            f"Carlo); the article's rays leave ±{of_rays:.3f} on its own",
+            what, paper, ours.value, sigma=ours.sigma, difference_sigma=of_both, remark=remark
         )
     ours = simulated.nominal.alpha_scat
     of_ratio = ours.contributions["statistical"]
@@ -187,14 +171,12 @@ def table_1_rows(simulated: Simulated) -> Iterator[ArticleRow]:
     assert ours.lower is not None and ours.upper is not None  # profiled
     ends = (simulated.nominal.at(end) for end in (ours.lower, ours.upper))
     (*_, grown), (*_, relative) = _growth(*ends)
-    yield compare(
-        "error of alpha_scat from that of R, Sec. 6.2",
-        p.printed("0.10", "Sec. 6.2", "1/cm"),
-        of_ratio,
-        sigma=of_ratio * relative / abs(math.log(grown)),
-        rounding=of_ratio * p.RATIO.rounding / p.RATIO.stated_sigma,
-        remark=f"R ± 0.012 gives {ours.lower:.2f} to {ours.upper:.2f} /cm: not quite symmetric",
-    )
+    what = "error of alpha_scat from that of R, Sec. 6.2"
+    paper = p.printed("0.10", "Sec. 6.2", "1/cm")
+    sigma = of_ratio * relative / abs(math.log(grown))
+    rounding = of_ratio * p.RATIO.rounding / p.RATIO.stated_sigma
+    remark = f"R ± 0.012 gives {ours.lower:.2f} to {ours.upper:.2f} /cm: not quite symmetric"
+    yield compare(what, paper, of_ratio, sigma=sigma, rounding=rounding, remark=remark)
 
 
 def efficiency_rows(simulated: Simulated) -> Iterator[ArticleRow]:
@@ -251,31 +233,22 @@ def _shape_rows(line: SimulatedLine) -> Iterator[ArticleRow]:
     position, position_sigma = position_of_maximum([line.at(a) for a in PEAK_POINTS_PER_CM], 1)
     what = "R at the article's (0.039, 0.54) /cm, pol."
     yield compare(what, p.RATIO, ratio, sigma=sigma, difference_sigma=of_both)
-    yield compare(
-        "maximum of the gel curve, Sec. 6.2",
-        p.GEL_MAXIMUM,
-        position,
-        sigma=position_sigma,
-        remark="at T = 96 %; its place moves with the absorption (Fig. 3)",
-    )
+    what, paper = "maximum of the gel curve, Sec. 6.2", p.GEL_MAXIMUM
+    remark = "at T = 96 %; its place moves with the absorption (Fig. 3)"
+    yield compare(what, paper, position, sigma=position_sigma, remark=remark)
     flat = p.FLAT_ABOVE.value
     for low, high in ((0.1, flat), (flat, p.SCANNED_TO.value)):
         (grown, *_), (relative, *_) = _growth(line.at(low), line.at(high))
-        yield compare(
-            f"eta_air grows from {low:g} to {high:g} /cm by",
-            None,
-            100 * (grown - 1),
-            sigma=100 * grown * relative,
-            unit="%",
-            remark='the article: "little change" above 0.5 /cm' if low == flat else "",
-        )
+        what = f"eta_air grows from {low:g} to {high:g} /cm by"
+        remark = 'the article: "little change" above 0.5 /cm' if low == flat else ""
+        percent, of_batches = 100 * (grown - 1), 100 * grown * relative
+        yield compare(what, None, percent, sigma=of_batches, unit="%", remark=remark)
 
 
 def other_crystal_rows(simulated: Simulated) -> Iterator[ArticleRow]:
     """The thin sample, CaWO4 and the wrapped cube."""
-    quoted = from_printed(
-        lambda s, q: 100 * s / q, p.CAWO4_QUOTED_SIGNAL, p.CAWO4_QUOTED_QUANTUM_EFFICIENCY
-    )
+    inputs = p.CAWO4_QUOTED_SIGNAL, p.CAWO4_QUOTED_QUANTUM_EFFICIENCY
+    quoted = from_printed(lambda s, q: 100 * s / q, *inputs)
     wrapped = simulated.wrapped[DEFAULT_WRAP_REFLECTANCE]
     spread = " and ".join(
         f"{100 * result.eta:.1f} % at {reflectance:g}"
@@ -283,31 +256,19 @@ def other_crystal_rows(simulated: Simulated) -> Iterator[ArticleRow]:
         if reflectance != DEFAULT_WRAP_REFLECTANCE
     )
     thin, cawo4 = simulated.thin, simulated.cawo4
-    yield _eta_row(
-        "eta of thin CaMoO4, 1 mm, gel, Sec. 6.2",
-        p.THIN_ETA,
-        thin.eta,
-        thin.eta_sigma,
-        remark="with 0.54 and 0.039 /cm, for the article states no others; without absorption "
-        f"{100 * simulated.thin_clear.eta:.1f} %",
-    )
+    clear = f"without absorption {100 * simulated.thin_clear.eta:.1f} %"
+    remark = f"with 0.54 and 0.039 /cm, for the article states no others; {clear}"
+    what = "eta of thin CaMoO4, 1 mm, gel, Sec. 6.2"
+    yield _eta_row(what, p.THIN_ETA, thin.eta, thin.eta_sigma, remark=remark)
     yield compare("CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA, quoted)
-    yield _eta_row(
-        "eta of CaWO4, air, Sec. 6.4",
-        p.CAWO4_ETA,
-        cawo4.eta,
-        cawo4.eta_sigma,
-        remark="its size and index are not given: a 10 mm cube with n = 1.92 is taken",
-    )
-    yield _eta_row(
-        "eta of CaMoO4 cube, wrapped, gel, Sec. 6.5",
-        p.WRAPPED_ETA,
-        wrapped.eta,
-        wrapped.eta_sigma,
-        systematic=wrapped_spread(simulated),
-        remark="five faces behind an air film, Lambertian, reflectance "
-        f"{DEFAULT_WRAP_REFLECTANCE:g}; {spread}: the article does not say how it wraps",
-    )
+    what = "eta of CaWO4, air, Sec. 6.4"
+    remark = "its size and index are not given: a 10 mm cube with n = 1.92 is taken"
+    yield _eta_row(what, p.CAWO4_ETA, cawo4.eta, cawo4.eta_sigma, remark=remark)
+    film = f"five faces behind an air film, Lambertian, reflectance {DEFAULT_WRAP_REFLECTANCE:g}"
+    remark = f"{film}; {spread}: the article does not say how it wraps"
+    what, sizes = "eta of CaMoO4 cube, wrapped, gel, Sec. 6.5", (wrapped.eta, wrapped.eta_sigma)
+    of_wrap = wrapped_spread(simulated)
+    yield _eta_row(what, p.WRAPPED_ETA, *sizes, systematic=of_wrap, remark=remark)
 
 
 def wrapped_spread(simulated: Simulated) -> float:

@@ -112,13 +112,9 @@ def draw_efficiency(lines: Sequence[SimulatedLine]) -> style.Drawing:
     for name, height in (("gel in the gap, n = 1.46", 51.5), ("air in the gap, n = 1.00", 8.5)):
         axes.text(0.0105, height, name, weight="bold", va="center")
     table_1: dict[str, Any] = {"marker": "o", "mfc": "white", "mew": 1.8, "ms": 8}
-    _legend(
-        axes,
-        "lower right",
-        "polarisation ignored",
-        Line2D([], [], ls="", color=style.GREY, label="article, Table 1", **table_1),
-        Line2D([], [], ls="", label="Mitsuba, where R = 0.583", **_OURS),
-    )
+    article = Line2D([], [], ls="", color=style.GREY, label="article, Table 1", **table_1)
+    ours = Line2D([], [], ls="", label="Mitsuba, where R = 0.583", **_OURS)
+    _legend(axes, "lower right", "polarisation ignored", article, ours)
     return style.Drawing(figure, ("polarised", "n_gap", *_OF_CURVE, "eta", "eta_sigma"), rows)
 
 
@@ -172,13 +168,9 @@ def _draw_three_numbers(
             continue
         internal = transmittance(_FINE + line.printed.alpha_abs_per_cm.value, p.CRYSTAL_MM.value)
         colour, _ = _STYLE[line.printed.transmittance_percent.value]
-        axes.plot(
-            100 * measured_transmittance(internal, p.N_CRYSTAL.value),
-            line.smooth(_FINE)[_RATIO],
-            color=colour,
-            lw=2.2,
-            label=rf"$α_\mathrm{{abs}}$ = {line.printed.alpha_abs_per_cm.text} /cm",
-        )
+        percent = 100 * measured_transmittance(internal, p.N_CRYSTAL.value)
+        label = rf"$α_\mathrm{{abs}}$ = {line.printed.alpha_abs_per_cm.text} /cm"
+        axes.plot(percent, line.smooth(_FINE)[_RATIO], color=colour, lw=2.2, label=label)
     measured = (p.MEASURED_TRANSMITTANCE.value, p.RATIO.value)
     sigma = next(r.sigma for r in contradiction.diagnosis.baseline.rows if r.measured < 1.0)
     look: dict[str, Any] = {"fmt": "o", "ms": 8, "color": "black", "capsize": 3, "zorder": 6}
@@ -196,9 +188,8 @@ def _draw_three_numbers(
 def _draw_explanations(axes: Axes, contradiction: Contradiction) -> None:
     """The likeliest explanations, each with its light yield."""
     explanations = list(contradiction.likeliest.items())[::-1]
-    axes.barh(
-        range(len(explanations)), [100 * p for _, p in explanations], color=style.DARK, height=0.6
-    )
+    percent = [100 * p for _, p in explanations]
+    axes.barh(range(len(percent)), percent, color=style.DARK, height=0.6)
     for place, (name, probability) in enumerate(explanations):
         of_light = contradiction.light_yields.get(name)
         text = "" if of_light is None else f"  {of_light:.1f} ph/keV"

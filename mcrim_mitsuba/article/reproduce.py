@@ -104,37 +104,26 @@ def _rows(
     photons: int,
 ) -> tuple[ArticleRow, ...]:
     """All rows under the article's sections."""
+    bare = [*arithmetic.bare_crystal_rows(), *efficiency_rows.bare_crystal_rows(simulated)]
+    bench = efficiency_rows.bench_rows(simulated, photons)
+    table_1 = efficiency_rows.table_1_rows(simulated)
+    absolute = [*arithmetic.light_yield_rows(), *yield_rows.yield_rows(yields)]
+    absolute += [*yield_rows.budget_rows(simulated), *yield_rows.neglected_rows(left_out)]
+    relative = [*arithmetic.relative_rows(), yield_rows.relative_yield_row(yields)]
+    others = [*arithmetic.table_2_rows(), yield_rows.wrapped_yield_row(simulated)]
     sections: dict[str, Iterable[ArticleRow]] = {
         "Sec. 3-4, Eq. 4: transmittance and absorption": arithmetic.transmittance_rows(),
-        "Sec. 5, Eq. 6: light that leaves a bare crystal": [
-            *arithmetic.bare_crystal_rows(),
-            *efficiency_rows.bare_crystal_rows(simulated),
-        ],
-        "Sec. 4-5: the bench, as the article states it and as the scene has it": [
-            *efficiency_rows.bench_rows(simulated, photons)
-        ],
+        "Sec. 5, Eq. 6: light that leaves a bare crystal": bare,
+        "Sec. 4-5: the bench, as the article states it and as the scene has it": bench,
         "Sec. 6.1-6.2, Eq. 5: the measured ratio": arithmetic.ratio_rows(),
-        "Sec. 6.2-6.3, Table 1 and Fig. 4: scattering coefficient from the ratio": [
-            *efficiency_rows.table_1_rows(simulated)
-        ],
+        "Sec. 6.2-6.3, Table 1 and Fig. 4: scattering coefficient from the ratio": table_1,
         "Sec. 6.2-6.3, Table 1 and Fig. 3: light collection efficiency": [
             *efficiency_rows.efficiency_rows(simulated)
         ],
         "Sec. 6.2, 6.4, 6.5: other crystals": efficiency_rows.other_crystal_rows(simulated),
-        "Sec. 6.3, Eqs. 1-2: absolute light yield": [
-            *arithmetic.light_yield_rows(),
-            *yield_rows.yield_rows(yields),
-            *yield_rows.budget_rows(simulated),
-            *yield_rows.neglected_rows(left_out),
-        ],
-        "Sec. 6.4, Eq. 7: relative method": [
-            *arithmetic.relative_rows(),
-            yield_rows.relative_yield_row(yields),
-        ],
-        "Sec. 6.5, Table 2: other measurements": [
-            *arithmetic.table_2_rows(),
-            yield_rows.wrapped_yield_row(simulated),
-        ],
+        "Sec. 6.3, Eqs. 1-2: absolute light yield": absolute,
+        "Sec. 6.4, Eq. 7: relative method": relative,
+        "Sec. 6.5, Table 2: other measurements": others,
         SAYS: contradiction.rows(contradicted),
         "Quoted or measured by the article, and used or kept as they are": arithmetic.quoted_rows(),
     }
@@ -178,25 +167,21 @@ def described(result: ArticleResult, folder: str) -> Description:
         "The article disagrees with itself:": result.inconsistencies,
         "The article leaves open, or we find otherwise:": result.open_points,
     }
+    light_yield = (
+        f"Light yield of CaMoO4: {fitted.value:.2f} ± {fitted.statistical_sigma:.2f} "
+        f"(statistical) ± {fitted.systematic_sigma:.2f} (systematic) ph/keV; the article: "
+        "7.5 ± 1.2."
+    )
     parts = (
         Sentence(f"Verdicts. {RULE}"),
         Sentence(MONTE_CARLO),
         Sentence("Errors of ours: statistical, then systematic where there is one."),
         *_tables(result.rows),
         Sentence(""),
-        Sentence(
-            f"Light yield of CaMoO4: {fitted.value:.2f} ± {fitted.statistical_sigma:.2f} "
-            f"(statistical) ± {fitted.systematic_sigma:.2f} (systematic) ph/keV; the article: "
-            "7.5 ± 1.2.",
-            strong=True,
-        ),
+        Sentence(light_yield, strong=True),
         *listed(result.agreement),
         Sentence(f"Verdicts: {', '.join(counts)}"),
-        *(
-            part
-            for heading, lines in lists.items()
-            for part in (Sentence(""), *listed(lines, heading))
-        ),
+        *(part for head, of_it in lists.items() for part in (Sentence(""), *listed(of_it, head))),
         Sentence(""),
     )
     spent = (

@@ -182,17 +182,11 @@ def _couplings(run: Run) -> dict[bool, Couplings]:
     scanned = p.SCANNED_FROM.value, p.SCANNED_TO.value
     absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
     points = [(scattering, absorption) for absorption in absorptions for scattering in scanned]
-    requests = [
-        EtaRequest(
-            f"{name}, {'polarised' if polarised else 'unpolarised'}",
-            file.with_overrides({"n_gap": n_gap, "polarization": polarised}),
-            points,
-            run,
-            alpha_abs_range_per_cm=_ABSORPTION_PER_CM,
-        )
-        for polarised in (True, False)
-        for name, n_gap in COUPLINGS.items()
-    ]
+    requests = []
+    for polarised, (name, n_gap) in itertools.product((True, False), COUPLINGS.items()):
+        what = f"{name}, {'polarised' if polarised else 'unpolarised'}"
+        scene = file.with_overrides({"n_gap": n_gap, "polarization": polarised})
+        requests.append(EtaRequest(what, scene, points, run, scanned, _ABSORPTION_PER_CM))
     surfaces = record_surfaces(requests)
     grid, tables = surfaces[0][0].grid, [surface.table for surface, _ in surfaces]
     return {

@@ -83,23 +83,16 @@ def agreement(name: str, first: Uncertain, second: Uncertain, shared: str) -> st
 
 def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
     """Whether the two couplings and the two methods agree."""
-    in_air, in_gel = (
-        absolute_yield(signal, Uncertain(eta.value / 100))
-        for signal, eta in zip(SIGNALS, p.NOMINAL.etas_percent, strict=True)
-    )
+    pairs = zip(SIGNALS, p.NOMINAL.etas_percent, strict=True)
+    in_air, in_gel = (absolute_yield(signal, Uncertain(eta.value / 100)) for signal, eta in pairs)
     counts = "counting errors; those of eta and of the detector efficiency are shared"
     at_article_point = "Y1 and Y2 with our eta at the article's (0.039, 0.54) /cm"
     absolute, relative = yields.fitted, yields.relative
     distance = relative.value - absolute.value
     # shared by both methods: N_air, its detector efficiency and eta of CaMoO4
-    of_cawo4 = quotient(
-        above=[
-            ("efficiency", arithmetic.efficiency(p.CAWO4_EFFICIENCY)),
-            ("eta", with_eta_error(1.0)),
-            ("yield", arithmetic.CAWO4_YIELD),
-        ],
-        below=[("signal", arithmetic.CAWO4_SIGNAL)],
-    )
+    above = [("efficiency", arithmetic.efficiency(p.CAWO4_EFFICIENCY))]
+    above += [("eta", with_eta_error(1.0)), ("yield", arithmetic.CAWO4_YIELD)]
+    of_cawo4 = quotient(above=above, below=[("signal", arithmetic.CAWO4_SIGNAL)])
     sigma = relative.value * of_cawo4.sigma / of_cawo4.value
     return (
         agreement("Y1 (air) and Y2 (gel) with the article's eta", in_air, in_gel, counts),
@@ -124,54 +117,31 @@ def yield_rows(yields: LightYields) -> Iterator[ArticleRow]:
         p.NOMINAL.etas_percent,
         strict=True,
     ):
-        yield compare(
-            f"{name}, our eta at (0.039, 0.54) /cm",
-            paper,
-            ours,
-            # the article's Y has the rounding of its own eta
-            difference_sigma=0.0,
-            rounding=ours.value * eta.rounding / eta.value,
-        )
-    yield compare(
-        "Y, our eta at our alpha_scat",
-        p.LIGHT_YIELD,
-        fitted,
-        remark="air and gel alike; first error counting and Monte Carlo, second eta and "
-        "detector efficiency",
-    )
-    yield compare(
-        "the same, detector efficiency measured in air",
-        None,
-        replace(fitted, value=fitted.value * (1.0 - reflected)),
-        unit=p.LIGHT_YIELD.unit,
-        remark=f"tubes are measured in air, head-on: {100 * reflected:.2f} % that the "
-        "window reflects is in the efficiency, and in eta; no collection efficiency",
-    )
-    yield compare(
-        "error of eta: spread of our Table 1",
-        p.ETA_ERROR,
-        100 * yields.eta_error,
-        judged=False,
-        remark="the article calls its 12 % conservative",
-    )
-    yield compare(
-        "total error with our eta",
-        p.TOTAL_ERROR,
-        100 * fitted.sigma / fitted.value,
-        judged=False,
-        remark=f"{100 * yields.eta_error:.1f} % eta, 10 % detector efficiency, "
-        f"{100 * counts:.1f} % counts: ±{fitted.sigma:.2f} ph/keV",
-    )
+        # the article's Y has the rounding of its own eta
+        what, rounding = f"{name}, our eta at (0.039, 0.54) /cm", eta.rounding / eta.value
+        yield compare(what, paper, ours, difference_sigma=0.0, rounding=ours.value * rounding)
+    of_eta, of_all = 100 * yields.eta_error, 100 * fitted.sigma / fitted.value
+    errors = "first error counting and Monte Carlo, second eta and detector efficiency"
+    remark = f"air and gel alike; {errors}"
+    yield compare("Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted, remark=remark)
+    what = "the same, detector efficiency measured in air"
+    in_air = replace(fitted, value=fitted.value * (1.0 - reflected))
+    twice = f"{100 * reflected:.2f} % that the window reflects is in the efficiency, and in eta"
+    remark = f"tubes are measured in air, head-on: {twice}; no collection efficiency"
+    yield compare(what, None, in_air, unit=p.LIGHT_YIELD.unit, remark=remark)
+    what = "error of eta: spread of our Table 1"
+    remark = "the article calls its 12 % conservative"
+    yield compare(what, p.ETA_ERROR, of_eta, judged=False, remark=remark)
+    parts = f"{of_eta:.1f} % eta, 10 % detector efficiency, {100 * counts:.1f} % counts"
+    what, remark = "total error with our eta", f"{parts}: ±{fitted.sigma:.2f} ph/keV"
+    yield compare(what, p.TOTAL_ERROR, of_all, judged=False, remark=remark)
 
 
 def relative_yield_row(yields: LightYields) -> ArticleRow:
     """Eq. 7 with our efficiencies."""
-    return compare(
-        "Y, our eta for both crystals",
-        p.RELATIVE_YIELD,
-        yields.relative,
-        remark="air gap; 12 % on the eta of CaWO4, for which Table 1 has no counterpart",
-    )
+    remark = "air gap; 12 % on the eta of CaWO4, for which Table 1 has no counterpart"
+    paper, ours = p.RELATIVE_YIELD, yields.relative
+    return compare("Y, our eta for both crystals", paper, ours, remark=remark)
 
 
 def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
@@ -199,27 +169,15 @@ def budget_rows(simulated: Simulated) -> Iterator[ArticleRow]:
     sigma = (max(absorptions) - min(absorptions)) / 2
     campaign = article_campaign(p.NOMINAL.alpha_abs_per_cm.value, sigma)
     light_yield = simulated.couplings[True].fit(campaign).parameters[LIGHT_YIELD]
-    percent = {
-        name: 100 * part / light_yield.value for name, part in light_yield.contributions.items()
-    }
-    eta = math.hypot(percent["prior"], percent["monte_carlo"])
-    total = 100 * light_yield.sigma / light_yield.value
-    where = f"campaign fit, alpha_abs ± {sigma:.3f} /cm (half of Table 1's range)"
-    yield compare("error budget: eta", p.ETA_ERROR, eta, judged=False, remark=where)
-    yield compare(
-        "error budget: counts",
-        None,
-        percent["statistical"],
-        unit="%",
-        remark="with alpha_scat fitted: not the two counts' 1.6 % itself",
-    )
-    yield compare(
-        "error budget: total",
-        p.TOTAL_ERROR,
-        total,
-        judged=False,
-        remark="eta, counts and detector efficiency, one covariance",
-    )
+    value, parts = light_yield.value, light_yield.contributions
+    eta = math.hypot(*(100 * parts[name] / value for name in ("prior", "monte_carlo")))
+    counts, total = 100 * parts["statistical"] / value, 100 * light_yield.sigma / value
+    remark = f"campaign fit, alpha_abs ± {sigma:.3f} /cm (half of Table 1's range)"
+    yield compare("error budget: eta", p.ETA_ERROR, eta, judged=False, remark=remark)
+    remark = "with alpha_scat fitted: not the two counts' 1.6 % itself"
+    yield compare("error budget: counts", None, counts, unit="%", remark=remark)
+    remark = "eta, counts and detector efficiency, one covariance"
+    yield compare("error budget: total", p.TOTAL_ERROR, total, judged=False, remark=remark)
 
 
 _MATERIAL = "CaMoO4"
@@ -232,12 +190,9 @@ def left_out(run: Run) -> tuple[Neglected, ...]:
     photons = max(1, round(_SHARE * run.photons_or(DEFAULT_PHOTONS)))
     campaign = article_campaign(p.NOMINAL.alpha_abs_per_cm.value)
     scene = campaign.scene.with_overrides({"polarization": True})
-    work = NeglectWork(
-        replace(campaign, scene=scene),
-        KnownCrystal.of(campaign, _MATERIAL),
-        replace(run, photons=photons),
-    )
-    return work.neglected()
+    crystal = KnownCrystal.of(campaign, _MATERIAL)
+    of_share = replace(run, photons=photons)
+    return NeglectWork(replace(campaign, scene=scene), crystal, of_share).neglected()
 
 
 def neglected_rows(pieces: tuple[Neglected, ...]) -> Iterator[ArticleRow]:

@@ -389,11 +389,9 @@ def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:
     used = campaign.measurements.in_use
     read = {campaign.parameter_of(r, SCALE) for r in used if not r.of_beam}
     if SCALE in campaign.free and not read:
-        raise InputError(
-            "all readings in use are transmittances, which say nothing of the scale",
-            "add a reading of light, or hold it: [parameters.scale] with start = 1, fixed = true",
-            path=campaign.path,
-        )
+        problem = "all readings in use are transmittances, which say nothing of the scale"
+        mend = "add a reading of light, or hold it: [parameters.scale] with start = 1, fixed = true"
+        raise InputError(problem, mend, path=campaign.path)
     for name in (SCALE, *(sample.named(SCALE) for sample in campaign.samples.values())):
         if name in campaign.free and name not in read and name not in campaign.priors:
             problem = f"no reading of light in use says anything of {name}"
@@ -407,13 +405,11 @@ def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:
                 key, mend = f"{schema.SAMPLES}.{sample.name}", f"remove {schema.SPECTRUM}"
                 raise document.refusal(key, f"{what} {min(coefficients)}", mend)
     if campaign.ndf < 0:
-        raise InputError(
-            f"{counted(len(campaign.free), 'free parameter')} ({', '.join(campaign.free)}) but "
-            f"{counted(len(used), 'reading')} in use and "
-            f"{counted(len(campaign.priors), 'prior')}",
-            "add readings or priors, or hold a parameter with fixed = true",
-            path=campaign.path,
-        )
+        free = f"{counted(len(campaign.free), 'free parameter')} ({', '.join(campaign.free)})"
+        readings, priors = counted(len(used), "reading"), counted(len(campaign.priors), "prior")
+        mend = "add readings or priors, or hold a parameter with fixed = true"
+        problem = f"{free} but {readings} in use and {priors}"
+        raise InputError(problem, mend, path=campaign.path)
 
 
 def _read_beam(

@@ -169,9 +169,6 @@ def with_known_physics(campaign: Campaign) -> Campaign:
         if reason != _IN_THE_MODEL
     ]
     begin = f"in the model, as {name} and {campaign.light_yield.energy_keV:g} keV are named: "
-    return replace(
-        campaign,
-        scene=crystal.put_into(campaign.scene, *crystal.effects),
-        known_physics=tuple(crystal.effects),
-        physics_note=begin + "; ".join(words) if words else "",
-    )
+    scene, effects = crystal.put_into(campaign.scene, *crystal.effects), tuple(crystal.effects)
+    note = begin + "; ".join(words) if words else ""
+    return replace(campaign, scene=scene, known_physics=effects, physics_note=note)

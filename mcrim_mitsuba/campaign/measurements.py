@@ -141,13 +141,10 @@ class Measurements:
                 continue
             first = groups.setdefault(reading.group, reading)
             if first.group_sigma != reading.group_sigma:
-                raise self.refusal(
-                    reading,
-                    "group_sigma",
-                    f"group {reading.group} has {reading.group_sigma:g} here and "
-                    f"{first.group_sigma:g} on line {first.line}",
-                    "give a group one group_sigma: its readings share that error",
-                )
+                there = f"{first.group_sigma:g} on line {first.line}"
+                problem = f"group {reading.group} has {reading.group_sigma:g} here and {there}"
+                mend = "give a group one group_sigma: its readings share that error"
+                raise self.refusal(reading, "group_sigma", problem, mend)
         if not any(reading.use for reading in readings):
             problem = "no reading is in use"
             raise InputError(problem, "add rows, or set use to 1 in some", path=self.path)
@@ -189,13 +186,9 @@ def read_table(
     if table_text.has_decimal_commas(numbers, refusal):
         for cells in rows:
             cells |= {name: cell.replace(",", ".") for name, cell in cells.numbers.items()}
-    table = Measurements(
-        path,
-        comments,
-        tuple(name for name in columns if name not in (*_FORMAT, *switches)),
-        tuple(cells.row(scene_parameters, switches) for cells in rows),
-        switches,
-    )
+    of_scene = tuple(name for name in columns if name not in (*_FORMAT, *switches))
+    readings = tuple(cells.row(scene_parameters, switches) for cells in rows)
+    table = Measurements(path, comments, of_scene, readings, switches)
     _check_labels(table)
     _check_histograms(table)
     _check_energies(table)
@@ -446,6 +439,7 @@ class _Cells(dict[str, str]):
 
 def _check_labels(table: Measurements) -> None:
     """Refuse a label of several rows, unless they are mountings of one configuration."""
+    separate = "give each configuration its own label"
     for label, (first, *others) in table.by_label.items():
         for row in others:
             if first.histogram is None or row.histogram is None:
@@ -456,18 +450,13 @@ def _check_labels(table: Measurements) -> None:
                 raise table.refusal(row, SAMPLE, problem, "give every sample's readings own labels")
             for name, value in row.parameters.items():
                 if value != first.parameters.get(name):
-                    raise table.refusal(
-                        row,
-                        name,
-                        f"{label} has {name} = {value} here and {first.parameters[name]} on line "
-                        f"{first.line}",
-                        "give each configuration its own label: rows of one label are repeated "
-                        "mountings",
-                    )
+                    there = f"{first.parameters[name]} on line {first.line}"
+                    problem = f"{label} has {name} = {value} here and {there}"
+                    mend = f"{separate}: rows of one label are repeated mountings"
+                    raise table.refusal(row, name, problem, mend)
             if (row.energy_keV, row.without) != (first.energy_keV, first.without):
                 problem = f"{label} has another energy or other effects here than on its first line"
-                mend = "give each configuration its own label"
-                raise table.refusal(row, "label", problem, mend)
+                raise table.refusal(row, "label", problem, separate)
             if (row.group, row.group_sigma) != (first.group, first.group_sigma):
                 problem = f"{label} is of another group here than on line {first.line}"
                 mend = "give the mountings of one reading one group"

@@ -136,15 +136,10 @@ def read_absorption(
     parts = [part for origin, part in absorption.contributions.items() if origin != EMISSION]
     sigma = math.hypot(*parts)
     if sigma * thickness_mm / MM_PER_CM < _SMALLEST_SIGMA:
-        raise table.refusal(
-            name,
-            f"the absorption coefficient comes with an error of {sigma:.1g} /cm, less than any "
-            "spectrophotometer's"
-            if sigma > 0
-            else "the absorption coefficient comes without any error",
-            "give transmittance_sigma, the error that all readings share, or errors as a column of "
-            "the spectra",
-        )
+        few = f"with an error of {sigma:.1g} /cm, less than any spectrophotometer's"
+        problem = f"the absorption coefficient comes {few if sigma > 0 else 'without any error'}"
+        mend = "give transmittance_sigma, the error that all readings share"
+        raise table.refusal(name, problem, f"{mend}, or errors as a column of the spectra")
     return replace(absorption, notes=(*absorption.notes, *notes))
 
 
@@ -226,11 +221,8 @@ def read_efficiency(table: TomlTable) -> DetectorEfficiency | None:
         return None
     sigma = number_within(table, scale, schema.EFFICIENCY)
     files = [file_in(table, name, table[name]) for name in (emission, curve)]
-    return detector_efficiency(
-        read_spectrum(files[0], "emission"),
-        read_spectrum(files[1], "quantum_efficiency"),
-        TUBE_SCALE_SIGMA if sigma is None else sigma,
-    )
+    light, tube = read_spectrum(files[0], "emission"), read_spectrum(files[1], "quantum_efficiency")
+    return detector_efficiency(light, tube, TUBE_SCALE_SIGMA if sigma is None else sigma)
 
 
 def read_peaks(document: TomlDocument) -> tuple[str, Below]:

@@ -182,13 +182,9 @@ def wrong_numbers(tolerances: Iterable[Tolerance]) -> dict[str, Effect]:
 def _all_alike(parts: Sequence[Tolerance]) -> Tolerance:
     """That of all values of a number at once, which are off by as much."""
     lows, highs = zip(*(part.farthest for part in parts), strict=True)
-    return replace(
-        parts[0],
-        number=BenchNumber(parts[0].number.parameter),
-        value=min(part.value for part in parts),
-        sigma=min(part.sigma for part in parts),
-        farthest=(max(lows), min(highs)),
-    )
+    farthest, number = (max(lows), min(highs)), BenchNumber(parts[0].number.parameter)
+    value, sigma = min(part.value for part in parts), min(part.sigma for part in parts)
+    return replace(parts[0], number=number, value=value, sigma=sigma, farthest=farthest)
 
 
 def _refuse_name(table: TomlTable, name: str, scene: SceneFile, known: Collection[str]) -> None:

@@ -71,10 +71,8 @@ def calibrate(campaign, figure, json_file, work) -> None:
     from mcrim_mitsuba.output.sentences import fails
 
     screen = showing.answer(fit, json_file, figure)
-    next_step = (
-        f"{showing.command('diagnose', campaign)} for what could be missing, or "
-        f"{showing.command('budget', campaign)} for where the errors come from"
-    )
+    budget = f"{showing.command('budget', campaign)} for where the errors come from"
+    next_step = f"{showing.command('diagnose', campaign)} for what could be missing, or {budget}"
     if fails(fit):
         next_step = f"{showing.command('compare', campaign)} for where the model fails"
     screen.line(f"Next: {next_step}", style="bold")
@@ -127,16 +125,12 @@ def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
     if explained:
         swapped = explained[0].kind.startswith("swapped")
         mend = "swap them back" if swapped else "repeat it, or leave it out with use = 0"
-        return (
-            f"check {together(explained[0].labels)} in {measurements} ({mend}), then "
-            f"{showing.command('compare', campaign)} again; or {diagnose}"
-        )
+        again = f"then {showing.command('compare', campaign)} again; or {diagnose}"
+        return f"check {together(explained[0].labels)} in {measurements} ({mend}), {again}"
     if comparison.p_value is None or fails(comparison):
         return diagnose
-    return (
-        f"{showing.command('calibrate', campaign)} for the light yield, or {diagnose} for limits "
-        "on what could be missing"
-    )
+    calibrate = f"{showing.command('calibrate', campaign)} for the light yield"
+    return f"{calibrate}, or {diagnose} for limits on what could be missing"
 
 
 @click.command(short_help="Rank effects as explanations of a campaign's misfit.")
@@ -190,10 +184,8 @@ def _after_diagnosis(campaign: str, diagnosis) -> str:
         return _first_proposed(diagnosis)
     if diagnosis.verdict == AMBIGUOUS:
         return f"measure more configurations and diagnose again; or {repair}"
-    return (
-        f"measure more configurations; {showing.command('compare', campaign)} shows the pattern of "
-        "the misfit"
-    )
+    compare = showing.command("compare", campaign)
+    return f"measure more configurations; {compare} shows the pattern of the misfit"
 
 
 def _first_proposed(diagnosis) -> str:
@@ -251,10 +243,9 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
     next_step = diagnose_again if repaired.undetermined else _after_diagnosis(campaign, repaired)
     next_step = f"Next: {next_step}"
     if repaired.campaign_path is not None:
-        next_step = (
-            f"{repaired.campaign_path} and {repaired.scene_path} were written. "
-            f"Next: {showing.command('calibrate', repaired.campaign_path)}"
-        )
+        calibrate = showing.command("calibrate", repaired.campaign_path)
+        both = f"{repaired.campaign_path} and {repaired.scene_path}"
+        next_step = f"{both} were written. Next: {calibrate}"
     screen.line(next_step, style="bold")
 
 

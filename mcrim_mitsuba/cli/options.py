@@ -245,11 +245,8 @@ def folder(explained: str, **further: Any):
 
 json_output = file("--json", "Write the result as JSON; - for the screen.", "json_file")
 #: For the verbs that have ``--map``.
-deposits = file(
-    "--deposits",
-    "Where gammas stop, for --map: x_mm, y_mm, z_mm, energy_keV, a deposit a row.",
-    metavar="FILE.csv",
-)
+_DEPOSITS = "Where gammas stop, for --map: x_mm, y_mm, z_mm, energy_keV, a deposit a row."
+deposits = file("--deposits", _DEPOSITS, metavar="FILE.csv")
 
 
 def depth(least: float, end: str = ".", **further: Any):

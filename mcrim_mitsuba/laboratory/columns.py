@@ -143,11 +143,8 @@ def lowest_peak(counts: Array) -> tuple[int, int] | None:
 def refuse_photoelectrons(table: DataTable) -> None:
     """Refuse bins that are photoelectrons already, where channels are calibrated."""
     if _PHOTOELECTRONS.search(name := _first_name(table)):
-        raise InputError(
-            f"the first column, {name}, is calibrated already",
-            "remove [calibration], or name the spectrum in channels",
-            path=table.path,
-        )
+        mend = "remove [calibration], or name the spectrum in channels"
+        raise InputError(f"the first column, {name}, is calibrated already", mend, path=table.path)
 
 
 def counts_alone(table: DataTable) -> bool:
@@ -161,12 +158,9 @@ def counts_alone(table: DataTable) -> bool:
     whole = bool(np.all(values == np.floor(values)) and values.min() >= 0)
     if name or not whole or len(values) < _FEWEST_EVENTS or _order(values) > _ORDERLESS[0]:
         return False
-    raise InputError(
-        f"a column of {len(values)} whole numbers may be counts by channel, or photoelectrons by "
-        "event",
-        "name it in a line above: counts, or photoelectrons",
-        path=table.path,
-    )
+    problem = f"a column of {len(values)} whole numbers may be counts by channel"
+    problem += ", or photoelectrons by event"
+    raise InputError(problem, "name it in a line above: counts, or photoelectrons", path=table.path)
 
 
 def _order(values: Array) -> float:

@@ -106,13 +106,9 @@ def _of_instrument(path: Path) -> ChannelSpectrum:
     counts = np.array(spectra[0].gammaCounts(), float)
     live_time_s, real_time_s = float(spectra[0].liveTime()), float(spectra[0].realTime())
     said = live_time_s > 0 or real_time_s > 0
-    return ChannelSpectrum(
-        path,
-        (str(spectra[0].title()),),
-        np.arange(float(len(counts))),
-        _whole(path, counts),
-        live_time_s=_checked_time(path, live_time_s) if said else None,
-    )
+    comments, channels = (str(spectra[0].title()),), np.arange(float(len(counts)))
+    whole, live = _whole(path, counts), _checked_time(path, live_time_s) if said else None
+    return ChannelSpectrum(path, comments, channels, whole, live_time_s=live)
 
 
 def _of_root(path: Path, wanted: str) -> ChannelSpectrum:

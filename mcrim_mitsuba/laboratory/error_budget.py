@@ -127,11 +127,9 @@ def quotient(
                     sums[origin] = sums.get(origin, 0.0) + power * sigma / number.value
     if not 0 < value < math.inf:
         raise InputError(f"the result is {value:g}", "check the powers of ten of all factors")
-    return Uncertain(
-        value,
-        {origin: value * relative for origin, relative in statistical.items()},
-        {origin: value * relative for origin, relative in systematic.items()},
-    )
+    kinds = (statistical, systematic)
+    scaled = ({origin: value * part for origin, part in kind.items()} for kind in kinds)
+    return Uncertain(value, *scaled)
 
 
 def common_value(values: Sequence[Uncertain]) -> CommonValue:

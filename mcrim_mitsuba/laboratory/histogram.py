@@ -307,15 +307,14 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
     bad = np.flatnonzero((counts < 0) | (counts != np.floor(counts)))
     if len(bad):
         count = float(counts[bad[0]])
-        raise table.refusal(
-            int(bad[0]),
-            None,
-            f"{count:.10g} counts are not a number of events",
+        problem = f"{count:.10g} counts are not a number of events"
+        mend = (
             f"write {1000 * count:.0f}, if the point separates thousands; else correct it"
             if _may_be_thousands(count)
             else "write counts that are neither scaled nor subtracted: their errors are the square "
-            "roots",
+            "roots"
         )
+        raise table.refusal(int(bad[0]), None, problem, mend)
     if len(photons) < _FEWEST_BINS:
         mend = f"a histogram has {_FEWEST_BINS} at least"
         raise InputError(f"only {len(photons)} bins", mend, path=table.path)
@@ -324,14 +323,11 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
     bad = np.flatnonzero(steps <= 0)
     if len(bad) and not falls:
         row = int(bad[0]) + 1
-        raise table.refusal(
-            row,
-            None,
-            f"the bin centre {photons[row]:g} does not follow {photons[row - 1]:g}",
-            "write decimal points, if this is a list of events with decimal commas"
-            if _may_be_decimals(table)
-            else "sort the bins, each once",
-        )
+        problem = f"the bin centre {photons[row]:g} does not follow {photons[row - 1]:g}"
+        mend = "sort the bins, each once"
+        if _may_be_decimals(table):
+            mend = "write decimal points, if this is a list of events with decimal commas"
+        raise table.refusal(row, None, problem, mend)
     width = float(np.median(np.abs(steps)))
     if width < _NARROWEST:
         mend = "write the bin centres in a larger unit"
@@ -339,13 +335,10 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
     bad = np.flatnonzero(np.abs(np.abs(steps) - width) > _UNEVEN * width)
     if len(bad):
         row = int(bad[0]) + 1
-        raise table.refusal(
-            row,
-            None,
-            f"the bin at {photons[row]:g} is {abs(steps[row - 1]):g} from the one before, not "
-            f"{width:g}",
-            "give all bins one width; write empty bins with 0 counts",
-        )
+        apart = f"{abs(steps[row - 1]):g} from the one before, not {width:g}"
+        problem = f"the bin at {photons[row]:g} is {apart}"
+        mend = "give all bins one width; write empty bins with 0 counts"
+        raise table.refusal(row, None, problem, mend)
     if not counts.any():
         raise InputError("all bins are empty", "name another file", path=table.path)
     refuse_numbered(table)

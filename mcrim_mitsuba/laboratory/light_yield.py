@@ -146,14 +146,8 @@ def light_yield_ph_per_keV(
 
     Raises InputError if an argument is not above 0.
     """
-    return quotient(
-        above=[("signal", signal)],
-        below=[
-            ("detector efficiency", detector_efficiency),
-            ("light collection efficiency", eta),
-            ("energy", energy_keV),
-        ],
-    )
+    below = [("detector efficiency", detector_efficiency), ("light collection efficiency", eta)]
+    return quotient(above=[("signal", signal)], below=[*below, ("energy", energy_keV)])
 
 
 def fired_cells(
@@ -357,11 +351,9 @@ def _shared(
         for whose, crystal in crystals.items():
             value, sigma = crystal[name]
             if _own_part(value, sigma, part) is None:
-                raise table.refusal(
-                    name,
-                    f"the shared error {name} = {part:g} is larger than the {whose}'s own, "
-                    f"{sigma / value:.3g} of its {name}",
-                    "shared errors are parts of those of both crystals, as fractions",
-                )
+                whole = f"the {whose}'s own, {sigma / value:.3g} of its {name}"
+                problem = f"the shared error {name} = {part:g} is larger than {whole}"
+                mend = "shared errors are parts of those of both crystals, as fractions"
+                raise table.refusal(name, problem, mend)
         shared[name] = part
     return shared

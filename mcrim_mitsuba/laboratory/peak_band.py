@@ -198,14 +198,9 @@ def fit_band(
     least = np.array([0.0, lowest, narrowest, emptiest, emptiest, *none])
     most = np.array([np.inf, values[-1], widest, *[np.inf] * (3 + len(lines))])
     asked = np.array([True] * 5 + [below.step, *(line.share is None for line in lines)])
-    p, of_model, slopes, chi2 = _most_likely(
-        expected,
-        counts,
-        np.array([*start, 0.0, *shares]),
-        (least, most),
-        np.flatnonzero(~asked).tolist(),
-        variances,
-    )
+    begin, held = np.array([*start, 0.0, *shares]), np.flatnonzero(~asked).tolist()
+    fitted = _most_likely(expected, counts, begin, (least, most), held, variances)
+    p, of_model, slopes, chi2 = fitted
     width = p[2] if shape == GAUSSIAN else math.sqrt(p[1] + p[2])
     height = p[0] * bin_width / (width * math.sqrt(2 * math.pi))
     # a background at 0 stays there
@@ -318,14 +313,12 @@ def width_parts(peak: Peak, source: str, rms: float, rms_sigma: float) -> WidthP
     rest = total - 1.0 / n - rms**2
     # the centroid is in the whole and in the counting
     sigma = math.hypot(by_width, by_centroid - of_count, of_place)
-    return WidthParts(
-        source,
+    whole, counting = (
         width_of(total, math.hypot(by_width, by_centroid)),
         width_of(1.0 / n, of_count),
-        Width(FWHM * rms, FWHM * rms_sigma),
-        rest=width_of(max(rest, 0.0), sigma),
-        excess=max(-rest, 0.0) / sigma,
     )
+    place, left = Width(FWHM * rms, FWHM * rms_sigma), width_of(max(rest, 0.0), sigma)
+    return WidthParts(source, whole, counting, place, rest=left, excess=max(-rest, 0.0) / sigma)
 
 
 def width_of(variance: float, sigma: float) -> Width:

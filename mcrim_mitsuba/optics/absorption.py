@@ -111,10 +111,8 @@ def _slab_over(
 
 def _beside_clear(measured: float, n: float) -> str:
     """A reading beside the highest that a slab can have, in words."""
-    return (
-        f"{100 * measured:.4g} % transmitted is more than the {100 * float(clear_limit(n)):.4g} % "
-        f"of a slab with n = {n:.4g} that absorbs nothing"
-    )
+    most = f"{100 * float(clear_limit(n)):.4g} % of a slab with n = {n:.4g} that absorbs nothing"
+    return f"{100 * measured:.4g} % transmitted is more than the {most}"
 
 
 def _curve(
@@ -381,12 +379,9 @@ def _refuse_numbers(
     """Refuse transmittances, a thickness or errors that no measurement can have."""
     for value in numbers:
         if not 0 < value <= 1:
-            raise InputError(
-                f"the transmittance {value:g} is not between 0 and 1",
-                f"write {value / 100:g} for {value:g} %"
-                if 1 < value <= 100
-                else "give a fraction: 0.76 for 76 %",
-            )
+            percent, mend = 1 < value <= 100, f"write {value / 100:g} for {value:g} %"
+            problem = f"the transmittance {value:g} is not between 0 and 1"
+            raise InputError(problem, mend if percent else "give a fraction: 0.76 for 76 %")
     if not (thickness_mm > 0 and math.isfinite(thickness_mm)):
         raise InputError(f"the thickness is {thickness_mm:g} mm", "give one above 0, in mm")
     for what, error, most in (

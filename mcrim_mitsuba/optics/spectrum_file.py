@@ -116,12 +116,8 @@ def _refuse_range(table: DataTable, column: int, given: Array, wavelengths: Arra
                 problem = f"{value:g} is no wavelength in nm; these look like {looks}"
                 mend = f"write ({looks}) in the column's name, or convert to nm"
                 raise table.refusal(row, column, problem, mend)
-    raise table.refusal(
-        row,
-        column,
-        f"{value:g} {unit or 'nm'} is no wavelength from {SHORTEST_NM:g} to {LONGEST_NM:g} nm",
-        "correct it, or write the unit in the column's name",
-    )
+    problem = f"{value:g} {unit or 'nm'} is no wavelength from {SHORTEST_NM:g} to {LONGEST_NM:g} nm"
+    raise table.refusal(row, column, problem, "correct it, or write the unit in the column's name")
 
 
 def _ordered(table: DataTable, column: int, given: Array, wavelengths: Array) -> NDArray[np.int64]:
@@ -302,13 +298,10 @@ def _columns(table: DataTable) -> tuple[int, int, int | None]:
     errors = [i for i in others if _SIGMA.search(names[i])]
     if count == 3 and len(errors) == 1:
         return wavelength, next(i for i in others if i != errors[0]), errors[0]
-    raise InputError(
-        f"{count} columns" + (", and none is named as an error" if count == 3 else ""),
-        "keep wavelength and value, and if it is known the value's standard error in a third "
-        "column named sigma",
-        path=table.path,
-        line=int(table.lines[0]),
-    )
+    problem = f"{count} columns" + (", and none is named as an error" if count == 3 else "")
+    third = "the value's standard error in a third column named sigma"
+    mend = f"keep wavelength and value, and if it is known {third}"
+    raise InputError(problem, mend, path=table.path, line=int(table.lines[0]))
 
 
 def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
@@ -389,13 +382,10 @@ def _emission(
     below = intensities < -noise
     if np.any(below):
         row = int(np.argmax(below))
-        raise table.refusal(
-            row,
-            value,
-            f"{intensities[row]:g} is below 0 by more than {100 * _NOISE_OF_EMISSION:g} % of the "
-            f"maximum {highest:g}",
-            "subtract the right background, or cut the spectrum there",
-        )
+        most = f"{100 * _NOISE_OF_EMISSION:g} % of the maximum {highest:g}"
+        problem = f"{intensities[row]:g} is below 0 by more than {most}"
+        mend = "subtract the right background, or cut the spectrum there"
+        raise table.refusal(row, value, problem, mend)
     unit, notes, file = table.units[wavelength], list(axis.notes), table.path.name
     if unit in _RECIPROCAL:
         converted = f"intensities are taken per {unit} and were converted to intensities per nm"

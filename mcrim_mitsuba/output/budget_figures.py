@@ -307,16 +307,12 @@ def _without_covered(curves: dict[_Couplings, np.ndarray]) -> dict[_Couplings, i
     """Sets of couplings that are drawn, and how many others' curves would lie on each one's."""
     drawn: dict[_Couplings, int] = {}
     for couplings, curve in curves.items():
-        covering = (
-            other
-            for other in drawn
-            if curves[other].shape == curve.shape
-            and np.allclose(curve, curves[other], rtol=_ON_EACH_OTHER, atol=0.0)
-        )
-        if (other := next(covering, None)) is None:
-            drawn[couplings] = 0
+        for other in (o for o in drawn if curves[o].shape == curve.shape):
+            if np.allclose(curve, curves[other], rtol=_ON_EACH_OTHER, atol=0.0):
+                drawn[other] += 1
+                break
         else:
-            drawn[other] += 1
+            drawn[couplings] = 0
     return drawn
 
 

@@ -195,12 +195,9 @@ def kind_of(content: Mapping[str, Any]) -> str:
 
 def joined(kind: str, parts: Mapping[str, Part]) -> ResultTable:
     """Results of one kind, by name."""
-    return ResultTable(
-        kind,
-        tuple({RESULT: name, **row} for name, (rows, _, _) in parts.items() for row in rows),
-        tuple({RESULT: name, **row} for name, (_, rows, _) in parts.items() for row in rows),
-        {name: provenance for name, (_, _, provenance) in parts.items()},
-    )
+    rows = tuple({RESULT: name, **row} for name, (rows, *_) in parts.items() for row in rows)
+    below = tuple({RESULT: name, **row} for name, (_, rows, _) in parts.items() for row in rows)
+    return ResultTable(kind, rows, below, {name: work for name, (*_, work) in parts.items()})
 
 
 def read_document(document: JsonObject) -> tuple[str, Part]:

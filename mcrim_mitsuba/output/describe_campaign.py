@@ -135,13 +135,10 @@ def parameters_table(
         if estimate.at_bound is None and estimate.contributions:
             errors = sentences.errors_apart(estimate)
         ends = (estimate.lower, estimate.upper, *intervals_95.get(name, (None, None)))
-        cells = (
-            estimated(estimate),
-            *(shown(error, lambda e: "" if e is None else number(e, 2)) for error in errors),
-            sentences.interval(estimate),
-            *(Cell("", end) for end in ends),
-        )
-        rows.append((_title(name), *([meanings[name]] if meanings else []), *cells, name))
+        of_kinds = (shown(error, lambda e: "" if e is None else number(e, 2)) for error in errors)
+        interval = (sentences.interval(estimate), *(Cell("", end) for end in ends))
+        first = (_title(name), *([meanings[name]] if meanings else []), estimated(estimate))
+        rows.append((*first, *of_kinds, *interval, name))
     return table("parameters", columns, rows)
 
 
@@ -200,11 +197,7 @@ _READING = (
     Column("pull", form="+.2f"),
 )
 # a closed form, such as that of a beam, has no error
-_ETA = Column(
-    "eta (simulation's error)",
-    "eta",
-    of=lambda reading: measured(reading.eta, reading.eta_sigma or None),
-)
+_ETA = Column("eta (simulation's error)", "eta", of=lambda r: measured(r.eta, r.eta_sigma or None))
 
 
 def fitted_readings(
@@ -238,25 +231,21 @@ def _whole_percent(part: float | None) -> str:
 
 def misfit_pieces(comparison: Comparison) -> list[Piece]:
     """What chi2 says, which readings and trends carry the misfit, and what may have taken it up."""
-    fails = sentences.fails(comparison)
+    fails, absorbed = sentences.fails(comparison), (fitted.words for fitted in comparison.absorbed)
     return [
         strong(sentences.quality(comparison)),
         listed([sentences.carriers(comparison)] if fails else []),
         listed(sentences.beam_conflict(comparison)),
         suspects_pieces(comparison.suspects),
         listed(map(sentences.trend_text, comparison.trends)),
-        listed(
-            (parameter.words for parameter in comparison.absorbed),
-            "Fitted parameters that may have taken up a misfit:",
-        ),
+        listed(absorbed, "Fitted parameters that may have taken up a misfit:"),
     ]
 
 
 def suspects_pieces(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
     """Readings that may be wrong."""
-    return listed(
-        map(sentences.suspicion, suspects), "Look at these readings before physics is blamed:"
-    )
+    heading = "Look at these readings before physics is blamed:"
+    return listed(map(sentences.suspicion, suspects), heading)
 
 
 def of_fit(fit: results.FitResult) -> Description:
@@ -284,14 +273,10 @@ def of_fit(fit: results.FitResult) -> Description:
 
 def of_comparison(comparison: results.ComparisonResult) -> Description:
     """Readings beside predictions, what chi2 says, and where the misfit lies."""
-    return described(
-        "a campaign beside its model",
-        strong(sentences.quality(comparison)),
-        compared_readings(comparison),
-        misfit_pieces(comparison)[1:],
-        parameters_table(comparison.parameters),
-        **_spent(comparison),
-    )
+    quality, *misfit = misfit_pieces(comparison)
+    pieces = (quality, compared_readings(comparison), misfit)
+    parameters = parameters_table(comparison.parameters)
+    return described("a campaign beside its model", *pieces, parameters, **_spent(comparison))
 
 
 # Hypotheses, and fits of the page, side by side.
@@ -465,10 +450,8 @@ def candidates_table(diagnosis: Diagnosis, candidates: Sequence[Candidate], head
 
 def explanation_tables(diagnosis: Diagnosis) -> list[Table]:
     """Effects alone and in pairs, the best first."""
-    return [
-        candidates_table(diagnosis, diagnosis.candidates, "effects, each added alone"),
-        candidates_table(diagnosis, diagnosis.pairs, "the best pairs of effects"),
-    ]
+    alone = candidates_table(diagnosis, diagnosis.candidates, "effects, each added alone")
+    return [alone, candidates_table(diagnosis, diagnosis.pairs, "the best pairs of effects")]
 
 
 def explanation_pieces(diagnosis: Diagnosis) -> list[Piece]:
@@ -491,16 +474,13 @@ def others_table(diagnosis: Diagnosis, simulated: Calibration, effects: tuple[st
     def parameters(candidate: Candidate) -> Mapping[str, ParameterEstimate]:
         return (simulated if candidate.effects == effects else candidate).parameters
 
+    def column(title: str, name: str) -> Column:
+        return Column(title, name, of=lambda c: estimated(parameters(c).get(name)))
+
     columns = (
         Column("explanation", of=lambda c: sentences.in_words(diagnosis, c.effects)),
-        Column(
-            "light yield (photons per keV)",
-            LIGHT_YIELD,
-            of=lambda c: estimated(parameters(c).get(LIGHT_YIELD)),
-        ),
-        Column(
-            "scattering (1/cm)", ALPHA_SCAT, of=lambda c: estimated(parameters(c).get(ALPHA_SCAT))
-        ),
+        column("light yield (photons per keV)", LIGHT_YIELD),
+        column("scattering (1/cm)", ALPHA_SCAT),
     )
     leading = sentences.leading_candidates(diagnosis)
     fitted = [c for c in leading if {LIGHT_YIELD, ALPHA_SCAT} & parameters(c).keys()]
@@ -513,10 +493,8 @@ def _brief(effects: Table, diagnosis: Diagnosis) -> Iterator[Piece]:
     unlikely += diagnosis.pairs[sentences.MOST_PAIRS :]
     leading = {candidate.effect for candidate in sentences.leading_candidates(diagnosis)}
     hidden = {candidate.effect for candidate in unlikely} - leading
-    rows = [
-        replace(line, hidden=str(line.cells[-1].value).partition(".")[0] in hidden)
-        for line in effects.rows
-    ]
+    named = [(line, str(line.cells[-1].value).partition(".")[0]) for line in effects.rows]
+    rows = [replace(line, hidden=name in hidden) for line, name in named]
     yield replace(effects, rows=tuple(rows))
     if more := sum(line.hidden for line in rows):
         yield (
@@ -535,17 +513,12 @@ def limits_table(diagnosis: Diagnosis) -> Table:
         Column("parameter", left=True, small=True),
         _ID,
     )
-    rows = (
-        (
-            capital(sentences.in_words(diagnosis, [effect])),
-            Cell("", limit.lower),
-            Cell(sentences.limit_text(limit), limit.upper),
-            Cell("", limit.excluded),
-            Cell(limit.parameter or "on or off", limit.parameter),
-            effect,
-        )
-        for effect, limit in diagnosis.upper_limits.items()
-    )
+    rows = []
+    for effect, limit in diagnosis.upper_limits.items():
+        words = capital(sentences.in_words(diagnosis, [effect]))
+        size = Cell(sentences.limit_text(limit), limit.upper)
+        ends = (Cell("", limit.lower), size, Cell("", limit.excluded))
+        rows.append((words, *ends, Cell(limit.parameter or "on or off", limit.parameter), effect))
     return table("what the readings allow, 95 % confidence", columns, rows)
 
 
@@ -664,13 +637,9 @@ def step_text(step: RepairStep) -> str:
 
 def of_report(report: results.ReportResult) -> Description:
     """What a report says first; the page has the rest."""
-    return described(
-        "report of a campaign",
-        strong(report.sections.headline),
-        parameters_table(report.parameters, report.sections.profiles),
-        _shapes(report.sections.profiles),
-        **_spent(report),
-    )
+    headline, profiles = strong(report.sections.headline), report.sections.profiles
+    pieces = (headline, parameters_table(report.parameters, profiles), _shapes(profiles))
+    return described("report of a campaign", *pieces, **_spent(report))
 
 
 # A part of an error, and what a model leaves out.
@@ -745,11 +714,9 @@ def _shifts(errors: Budget) -> Iterator[Piece]:
     for kind, condition in kinds if errors.pieces else ():
         # besides the main quantities the ratio of two efficiencies: fitted again, it is that of
         # the readings
-        names = [
-            name
-            for name in getattr(errors.pieces[0], kind)
-            if name in errors.main or (kind == "at_fixed" and " / " in name)
-        ]
+        ratios = kind == "at_fixed"
+        every = getattr(errors.pieces[0], kind)
+        names = [name for name in every if name in errors.main or (ratios and " / " in name)]
         rows = []
         for piece in errors.pieces:
             cells = (_shift(getattr(piece, kind)[name]) for name in names)
@@ -898,18 +865,15 @@ def of_plan(planning: Planning) -> Description:
     )
     assumed = planning.conditions
     undetermined = "; ".join(map(planning.name, planning.undetermined))
+    beats = "plans that no cheaper one beats (relative errors)"
+    efficient = planning.efficient[-_MOST_PLANS:]
     left = "what readings without error would leave of the light yield's"
     return described(
         "plan of a measurement",
         f"At the campaign's solution: {solution}",
         records("what would be measured", signals, planning.candidates),
         records(left, floors, planning.floors.items()),
-        records(
-            "plans that no cheaper one beats (relative errors)",
-            plans,
-            planning.efficient[-_MOST_PLANS:],
-            strong=lambda plan: plan is planning.cheapest,
-        ),
+        records(beats, plans, efficient, strong=lambda plan: plan is planning.cheapest),
         map(strong, sentences.verdict(planning)),
         sentences.rehearsal_text(planning),
         f"Assumed: {assumed.events_per_second:g} events per second in the band, "

@@ -264,15 +264,11 @@ def of_peaks(
         for mounting in several
         if mounting.excess > _MUCH_TOO_WIDE
     )
-    return described(
-        "peaks of histograms",
-        calibration_pieces(calibration) if calibration else None,
-        _peaks(title, ("histogram",), peaks, _PEAK_ALONE) if count else None,
-        mean,
-        lines_pieces(lines) if lines else None,
-        _widths(widths) if widths else None,
-        notes=(*notes, *too_wide),
-    )
+    of_channels = calibration_pieces(calibration) if calibration else None
+    of_all = _peaks(title, ("histogram",), peaks, _PEAK_ALONE) if count else None
+    further = (lines_pieces(lines) if lines else None, _widths(widths) if widths else None)
+    notes = (*notes, *too_wide)
+    return described("peaks of histograms", of_channels, of_all, mean, *further, notes=notes)
 
 
 def lines_pieces(lines: Mapping[str, Sequence[Line]]) -> list[Piece]:
@@ -285,16 +281,10 @@ def lines_pieces(lines: Mapping[str, Sequence[Line]]) -> list[Piece]:
         for line in of_file:
             width = line.width
             parts = (width.total, width.counting, width.place, width.rest)
-            rows.append(
-                (
-                    name,
-                    f"{line.energy_keV:g}",
-                    measured(line.photons, line.photons_sigma),
-                    shown(line.per_keV, ".4g"),
-                    measured(line.relative, line.relative_sigma or None),
-                    *(measured(part.fwhm, part.sigma, 100.0) for part in parts),
-                )
-            )
+            of_parts = (measured(part.fwhm, part.sigma, 100.0) for part in parts)
+            light = (measured(line.photons, line.photons_sigma), shown(line.per_keV, ".4g"))
+            relative = measured(line.relative, line.relative_sigma or None)
+            rows.append((name, f"{line.energy_keV:g}", *light, relative, *of_parts))
         if (fit := intrinsic_width(of_file)) is not None:
             intrinsic, counted = fit
             words.append(
@@ -337,16 +327,10 @@ def of_absorption(
     absorption: Absorption, given: Sequence[str], beside: str, notes: Sequence[str]
 ) -> Description:
     """An absorption coefficient with its errors, and what a campaign says of it."""
-    prior = (
-        f"in a campaign: prior = {absorption.alpha_abs_per_cm:.4g}, prior_sigma = "
-        f"{absorption.sigma:.2g} under [parameters.alpha_abs_per_cm]"
-    )
-    return described(
-        "absorption of a sample",
-        absorption_pieces(absorption, given, beside),
-        prior if absorption.sigma else "",
-        notes=notes,
-    )
+    prior = f"prior = {absorption.alpha_abs_per_cm:.4g}, prior_sigma = {absorption.sigma:.2g}"
+    prior = f"in a campaign: {prior} under [parameters.alpha_abs_per_cm]"
+    words = (absorption_pieces(absorption, given, beside), prior if absorption.sigma else "")
+    return described("absorption of a sample", *words, notes=notes)
 
 
 def of_materials(indices: Mapping[Material, float | None], wavelength_nm: float) -> Description:
@@ -381,16 +365,10 @@ def of_index(
         f"ordinary {ordinary:.5f}, extraordinary {ordinary + difference:.5f}, difference "
         f"{difference:+.5f}; n is the mean of all directions and polarisations, (2 n_o + n_e) / 3"
     )
-    return described(
-        "refractive index",
-        strong(first),
-        more,
-        "" if crystal.extraordinary is None else rays,
-        f"{crystal.name}: {crystal.what}{properties}{cited}",
-        f"known from {_range_nm(crystal)} nm; source: {crystal.source}",
-        scene,
-        notes=notes,
-    )
+    what = f"{crystal.name}: {crystal.what}{properties}{cited}"
+    source = f"known from {_range_nm(crystal)} nm; source: {crystal.source}"
+    words = (more, "" if crystal.extraordinary is None else rays, what, source, scene)
+    return described("refractive index", strong(first), *words, notes=notes)
 
 
 def _range_nm(crystal: Material) -> str:
@@ -406,15 +384,14 @@ def of_gammas(
 
     shares = (f"{100 * p / stops.per_cm:.1f} % are {name}" for name, p in parts_per_cm.items())
     rows = ((f"{depth:g}", Cell(f"{100 * share:.1f} %", share)) for depth, share in stopped.items())
-    return described(
-        "where gammas stop",
-        depth_pieces(stops),
-        f"of the first interactions {', '.join(shares)}",
-        table("depths", ("depth, mm", "stopped within"), rows),
+    of_each = f"of the first interactions {', '.join(shares)}"
+    within = table("depths", ("depth, mm", "stopped within"), rows)
+    escaping = (
         f"K X-rays of {100 * stops.escaping:.2g} % escape with {stops.escaping_keV:.3g} keV: "
-        f"unresolved, they lower the centroid by {100 * stops.escape_loss:.2g} %",
-        f"source: {SOURCE}",
+        f"unresolved, they lower the centroid by {100 * stops.escape_loss:.2g} %"
     )
+    words = (of_each, within, escaping, f"source: {SOURCE}")
+    return described("where gammas stop", depth_pieces(stops), *words)
 
 
 #: p-value below which couplings are said to disagree.
@@ -432,9 +409,8 @@ def of_yields(
 
     columns = ("coupling", "signal", "eta", "weight", "Y", "statistical", "systematic", "total")
     rows = []
-    for (label, (signal, eta, light)), part in zip(
-        couplings.items(), together.weights, strict=True
-    ):
+    weighted = zip(couplings.items(), together.weights, strict=True)
+    for (label, (signal, eta, light)), part in weighted:
         weight = Cell(f"{100 * part:.0f} %", part)
         rows.append((label, measured(*signal), measured(*eta), weight, *_yield_cells(light)))
     mean, agreement = together.mean, ""
@@ -447,14 +423,9 @@ def of_yields(
         )
         if not agree:
             agreement += " Efficiencies that fit both signals come from `mcrim calibrate`."
-    return described(
-        "light yield",
-        table("light yield by Eq. 2, ph/keV", columns, rows, sums),
-        contributions_table("error budget", budgets),
-        agreement,
-        _yield(mean),
-        notes=notes,
-    )
+    yields = table("light yield by Eq. 2, ph/keV", columns, rows, sums)
+    budget = contributions_table("error budget", budgets)
+    return described("light yield", yields, budget, agreement, _yield(mean), notes=notes)
 
 
 def _yield_cells(light: Uncertain) -> tuple[Cell, ...]:
@@ -472,15 +443,11 @@ def of_relative(read: RelativeMeasurement, budgets: Mapping[str, ErrorBudget]) -
     """A light yield by Eq. 7; budgets without what is shared, and with it, come in this order."""
     from mcrim_mitsuba.output.describe_campaign import contributions_table
 
-    rows: list[tuple[str | Cell, ...]] = [
-        (
-            name.replace("_", " "),
-            measured(*given),
-            measured(*read.reference[name]),
-            "none" if name not in read.shared else f"{100 * read.shared[name]:.3g} %",
-        )
-        for name, given in read.sample.items()
-    ]
+    rows: list[tuple[str | Cell, ...]] = []
+    for name, given in read.sample.items():
+        shared = f"{100 * read.shared[name]:.3g} %" if name in read.shared else "none"
+        both = (measured(*given), measured(*read.reference[name]))
+        rows.append((name.replace("_", " "), *both, shared))
     rows.append(("light yield, ph/keV", "", measured(*read.reference_yield), ""))
     light, equal = read.light_yield, read.equal_collection
     ignoring, total = (100 * budget.total for budget in budgets.values())
@@ -490,13 +457,12 @@ def of_relative(read: RelativeMeasurement, budgets: Mapping[str, ErrorBudget]) -
             f"What sample and reference share ({names}) cancels; without that the error would be "
             f"±{ignoring:.1f} % and not ±{total:.1f} %. The energy cancels too."
         )
-    return described(
-        "light yield beside a reference",
-        table("both crystals", ("quantity", "sample", "reference", "shared error"), rows),
-        contributions_table("error budget", budgets),
-        _yield(light),
-        sharing,
+    crystals = table("both crystals", ("quantity", "sample", "reference", "shared error"), rows)
+    budget = contributions_table("error budget", budgets)
+    simpler = (
         f"With equal light collection assumed it would be {equal:.3g} ph/keV, "
         f"{equal / light.value:.2f} times as much; from the signals alone "
-        f"{read.signals_alone:.3g} ph/keV.",
+        f"{read.signals_alone:.3g} ph/keV."
     )
+    words = (crystals, budget, _yield(light), sharing, simpler)
+    return described("light yield beside a reference", *words)

@@ -60,26 +60,19 @@ def of_simulation(result: results.LightResult) -> Description:
     """Efficiency, and what becomes of the light; it may have been computed without photons."""
     work = f"no photons, {result.seconds:.2f} s"
     if result.photons:
-        work = (
-            f"{result.photons:,} photons, seed {result.seed}, {result.seconds:.1f} s, "
-            f"{result.photons_per_second / 1e6:.2f} million photons/s"
-        )
+        rate = f"{result.photons_per_second / 1e6:.2f} million photons/s"
+        work = f"{result.photons:,} photons, seed {result.seed}, {result.seconds:.1f} s, {rate}"
     fates = (
         (Cell(fate_words(fate), fate), shown(part, ".6f"), shown(result.budget_sigma[fate], ".6f"))
         for fate, part in result.budget.items()
         if part > 0
     )
     columns = ("fate", "fraction", Column("error", "fraction_sigma"))
-    return described(
-        "light collection efficiency",
-        f"eta = {pdg(result.eta, result.eta_sigma)}   ({work}, {result.transport})",
-        ", ".join(
-            f"{name}: {pdg(eta, result.eta_by_detector_sigma[name])}"
-            for name, eta in result.eta_by_detector.items()
-        ),
-        table("where the light ends", columns, fates),
-        notes=result.notes,
-    )
+    eta = f"eta = {pdg(result.eta, result.eta_sigma)}   ({work}, {result.transport})"
+    etas, sigmas = result.eta_by_detector, result.eta_by_detector_sigma
+    of_each = ", ".join(f"{name}: {pdg(etas[name], sigmas[name])}" for name in etas)
+    ends = table("where the light ends", columns, fates)
+    return described("light collection efficiency", eta, of_each, ends, notes=result.notes)
 
 
 def _rms(spread: Spread) -> Cell:
@@ -125,12 +118,8 @@ def of_spectrum(spectrum: results.SpectrumResult) -> Description:
             f"{'simulated' if spectrum.photons else 'solved'} at {nodes} nm; between them eta may "
             f"be wrong by {100 * spectrum.interpolation_error:.2g} %{included}"
         ]
-    return described(
-        "light collection efficiency over wavelengths",
-        _means(spectrum),
-        table("some wavelengths", columns, rows),
-        notes=notes,
-    )
+    title, some = "light collection efficiency over wavelengths", "some wavelengths"
+    return described(title, _means(spectrum), table(some, columns, rows), notes=notes)
 
 
 def _means(spectrum: results.SpectrumResult) -> list[str]:
@@ -187,15 +176,11 @@ def of_times(times: results.TimesResult) -> Description:
         "light of one event is born everywhere in the crystal, or, as that of a gamma, at one "
         "depth, which is another one in every event"
     )
-    return described(
-        "arrival times of detected light",
-        f"arrival of detected light, {emitted}: {times.photons:,} photons followed",
-        table("times", ("detected light", "ps"), rows),
-        records("where light is meanwhile", _PARTS, times.parts),
-        _first_photons(times),
-        births if len(times.first) > 1 else "",
-        notes=times.notes,
-    )
+    what = f"arrival of detected light, {emitted}: {times.photons:,} photons followed"
+    parts = records("where light is meanwhile", _PARTS, times.parts)
+    tables = (table("times", ("detected light", "ps"), rows), parts, _first_photons(times))
+    pieces = (what, *tables, births if len(times.first) > 1 else "")
+    return described("arrival times of detected light", *pieces, notes=times.notes)
 
 
 def _first_photons(times: results.TimesResult) -> Table:
@@ -270,23 +255,16 @@ def of_check(report: results.CheckResult, *, first: bool = True) -> Description:
     Not the `first` problem where the command raises it; the others are shown.
     """
     problems = [f"{'also: ' if i else ''}{problem}" for i, problem in enumerate(report.problems)]
-    return described(
-        "check of a scene",
-        listed(report.words),
-        records("", FACES, report.interfaces),
-        problems if first else problems[1:],
-        notes=report.notes,
-    )
+    faces = records("", FACES, report.interfaces)
+    pieces = (listed(report.words), faces, problems if first else problems[1:])
+    return described("check of a scene", *pieces, notes=report.notes)
 
 
 def of_installation(versions: Mapping[str, object]) -> Description:
     """What is installed, by part."""
     rows = ((name, Cell(str(value), value)) for name, value in versions.items())
-    return described(
-        "the installation",
-        table("", ("part", "found"), rows),
-        "the installation works: a kernel was compiled and run",
-    )
+    works = "the installation works: a kernel was compiled and run"
+    return described("the installation", table("", ("part", "found"), rows), works)
 
 
 _BOTH = (

@@ -240,11 +240,8 @@ def _draw_probabilities(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) ->
 
 def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
     """Falls of chi2 with errors; a loss that leaves gains no room is told in digits alone."""
-    tried = [
-        (place, row, row.candidate)
-        for place, row in zip(places, rows, strict=True)
-        if row.candidate is not None
-    ]
+    pairs = zip(places, rows, strict=True)
+    tried = [(place, row, row.candidate) for place, row in pairs if row.candidate is not None]
     gains = [candidate.delta_chi2 + candidate.delta_chi2_sigma for _, _, candidate in tried]
     # as far as the line of the threshold too, if it was drawn
     right = 1.08 * max(*gains, axes.dataLim.x1 if axes.lines else 0.0, _LEAST_GAIN)
@@ -266,10 +263,8 @@ def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
 
 def _title_ranking(figure: Figure, diagnosis: Diagnosis) -> None:
     baseline = diagnosis.baseline
-    title = (
-        f"{short_headline(diagnosis)}; without any effect χ² = {number(baseline.chi2)}, "
-        f"ndf {baseline.ndf}, {p_equals(baseline.p_value)}"
-    )
+    fit = f"χ² = {number(baseline.chi2)}, ndf {baseline.ndf}, {p_equals(baseline.p_value)}"
+    title = f"{short_headline(diagnosis)}; without any effect {fit}"
     style.entitle(figure, title)
 
 

@@ -158,10 +158,8 @@ def _label(name: str, peak: Peak | None) -> str:
     name = style.shortened(name, 40)
     if peak is None:
         return f"{name}: no peak stands out"
-    return (
-        f"{name}: centroid {pdg(peak.centroid, peak.centroid_sigma)}\n"
-        f"({peak.shape}, χ² = {number(peak.chi2)}, ndf {peak.ndf})"
-    )
+    fit = f"({peak.shape}, χ² = {number(peak.chi2)}, ndf {peak.ndf})"
+    return f"{name}: centroid {pdg(peak.centroid, peak.centroid_sigma)}\n{fit}"
 
 
 # From channels to photoelectrons: single photoelectrons, pedestals, the background.

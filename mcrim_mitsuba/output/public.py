@@ -564,12 +564,8 @@ def reduce(
 
     campaign = reduce_campaign(campaign, output)
     assert campaign.raw is not None  # refused otherwise
-    return ReductionResult(
-        **fields_of(campaign.raw),
-        title=campaign.title,
-        campaign_path=campaign.path,
-        plain_path=output,
-    )
+    fields = fields_of(campaign.raw) | {"campaign_path": campaign.path, "plain_path": output}
+    return ReductionResult(**fields, title=campaign.title)
 
 
 @_public

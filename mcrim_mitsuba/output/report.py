@@ -365,13 +365,9 @@ def report(
     def stage(what: str) -> None:
         run.tell(f"report: {what}", min(next(done), _STAGES), _STAGES)
 
-    sections = gather(
-        repaired,
-        command=_command(repaired.simulations.campaign.path, output, run),
-        made=datetime.now(UTC),
-        chosen_by_hand=effects is not None,
-        stage=stage,
-    )
+    command = _command(repaired.simulations.campaign.path, output, run)
+    now, by_hand = datetime.now(UTC), effects is not None
+    sections = gather(repaired, command=command, made=now, chosen_by_hand=by_hand, stage=stage)
     stage("figures")
     write_text(output, render(sections))
     return sections

@@ -279,17 +279,13 @@ def capability_text(result: Diagnosis | Planning, readings: str = "such readings
         f"{len(often)} of {counted(len(can.named), 'effect')} in more than half of all campaigns"
     )
     if often:
-        first = [
-            f"{t} {probability(can.named[n])}"
-            for n, t in zip(often, titles_of(result, often), strict=True)
-        ]
+        pairs = zip(often, titles_of(result, often), strict=True)
+        first = [f"{title} {probability(can.named[name])}" for name, title in pairs]
         words += f" ({', '.join(first[:MOST_NAMED])}{', ...' if len(first) > MOST_NAMED else ''})"
     error = can.light_yield_sigma
     light = "" if error is None else f"; the light yield to {percent(error)}, but for the detector"
-    return (
-        f"What {readings} can say of effects of usual sizes: they name {words}, "
-        f"and another one in {probability(can.false)}{light}."
-    )
+    words += f", and another one in {probability(can.false)}{light}"
+    return f"What {readings} can say of effects of usual sizes: they name {words}."
 
 
 def mistakable(diagnosis: Diagnosis) -> str:
@@ -358,10 +354,8 @@ def set_aside_text(diagnosis: Diagnosis) -> str:
 
 def suspicion(suspect: Suspect) -> str:
     """What may be wrong with readings, in a sentence: swapped, several wrong, or one."""
-    gain = (
-        f"chi2 falls by {number(suspect.delta_chi2)} to {number(suspect.chi2)} "
-        f"(ndf {suspect.ndf}, {p_equals(suspect.p_value)})"
-    )
+    left = f"{number(suspect.chi2)} (ndf {suspect.ndf}, {p_equals(suspect.p_value)})"
+    gain = f"chi2 falls by {number(suspect.delta_chi2)} to {left}"
     chance = f"probability of as much by chance {p_text(suspect.p_gain)}"
     if suspect.kind == "swapped_rows":
         first, second = suspect.labels
@@ -422,10 +416,8 @@ def quality(comparison: Comparison | Calibration) -> str:
             "but say nothing about whether the model is right"
         )
     spread = math.sqrt(2.0 * ndf)
-    words = (
-        f"chi2 = {chi2} where {ndf} ± {spread:.1f} is expected (ndf = {ndf}), "
-        f"{p_equals(comparison.p_value)}: "
-    )
+    expected = f"{ndf} ± {spread:.1f} is expected (ndf = {ndf})"
+    words = f"chi2 = {chi2} where {expected}, {p_equals(comparison.p_value)}: "
     if comparison.p_value < ACCEPTABLE_P:
         return words + "the model does not describe the readings"
     if comparison.p_value > 1.0 - ACCEPTABLE_P / 10:
@@ -447,10 +439,8 @@ def carriers(comparison: Comparison) -> str:
     sums = list(itertools.accumulate(shares.values()))
     last = next((place for place, part in enumerate(sums) if part >= 0.5), len(sums) - 1)
     readings = [f"{label} ({100 * part:.0f} %)" for label, part in shares.items()][: last + 1]
-    return (
-        f"{100 * sums[last]:.0f} % of the squared pulls are those of {len(readings)} of "
-        f"{len(shares)} readings: {', '.join(readings)}"
-    )
+    few = f"{len(readings)} of {len(shares)} readings: {', '.join(readings)}"
+    return f"{100 * sums[last]:.0f} % of the squared pulls are those of {few}"
 
 
 def trend_text(trend: Trend) -> str:
@@ -857,10 +847,8 @@ def reliability(diagnosis: Diagnosis, fit: Calibration, effects: tuple[str, ...]
         return words
     added = in_words(diagnosis, effects)
     if diagnosis.verdict == AMBIGUOUS:
-        return (
-            f"{words} But {added} is one explanation of several; the numbers hold only if it is "
-            "the right one."
-        )
+        several = "one explanation of several; the numbers hold only if it is the right one"
+        return f"{words} But {added} is {several}."
     return f"{words} This holds with {added} added to the bench."
 
 

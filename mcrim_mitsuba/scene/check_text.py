@@ -263,13 +263,10 @@ def _problems_of_dielectric(file: SceneFile, element: Node, shape: str) -> Itera
         path, line = file.place_of(index)
         text = index.get("value", "")
         if "@" in text:
-            raise InputError(
-                f"{who} has {side} = '{text}': only parameters can name a material",
-                f'write value="$n_crystal" here and \'<default name="n_crystal" value="{text}"/>\''
-                " at the top",
-                path=path,
-                line=line,
-            )
+            problem = f"{who} has {side} = '{text}': only parameters can name a material"
+            default = f'<default name="n_crystal" value="{text}"/>'
+            mend = f"write value=\"$n_crystal\" here and '{default}' at the top"
+            raise InputError(problem, mend, path=path, line=line)
         value = parse_number(side, text, path=path, line=line)
         if not 1.0 <= value <= LARGEST_INDEX:
             text = f"{who} has {side} = {value:g}, which is no refractive index"

@@ -187,12 +187,9 @@ class SceneEditor(SceneParts):
         for shape in self.shapes:
             for bsdf in set(self.worn_by(shape)) & set(interfaces):
                 if shape not in self.crystal_faces:
-                    raise self.refusal(
-                        f"{bsdf.label} is worn by {shape.label} too, which is no face of the "
-                        "crystal",
-                        "give the crystal's faces a bsdf of their own",
-                        bsdf,
-                    )
+                    worn = f"{bsdf.label} is worn by {shape.label} too"
+                    mend = "give the crystal's faces a bsdf of their own"
+                    raise self.refusal(f"{worn}, which is no face of the crystal", mend, bsdf)
         return list(interfaces)
 
     def resolved(self, overrides: Mapping[str, Value] | None = None) -> dict[Node, Node]:
@@ -404,12 +401,11 @@ class SceneEditor(SceneParts):
         path, line = self._place(position)
         home = self.scene.path.parent.resolve()
         if any(piece.path.parent.resolve() != home for piece in self._pieces):
-            raise InputError(
-                f"what the effect changes is in this file, which {self.scene.path.name} includes",
-                "add the effect to this file, or move it beside the scene",
-                path=path,
-                line=line,
+            problem = (
+                f"what the effect changes is in this file, which {self.scene.path.name} includes"
             )
+            mend = "add the effect to this file, or move it beside the scene"
+            raise InputError(problem, mend, path=path, line=line)
 
     def _insertions(self) -> Iterator[tuple[int, int, str]]:
         """Splices of what goes into elements."""

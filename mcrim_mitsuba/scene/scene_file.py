@@ -484,12 +484,11 @@ class _Assembly:
             self.characters += len(new)
             self.references += 1
             if self.characters > _MOST_CHARACTERS or self.references > _MOST_REFERENCES:
-                raise InputError(
+                problem = (
                     f"parameters stand at more than {_MOST_REFERENCES:,} places, or make more than "
-                    f"{_MOST_CHARACTERS:,} characters of this scene",
-                    _MEANT,
-                    **place,
+                    f"{_MOST_CHARACTERS:,} characters of this scene"
                 )
+                raise InputError(problem, _MEANT, **place)
             return new
 
         return _REFERENCE.sub(replacement, text)
@@ -503,10 +502,8 @@ class _Assembly:
         )
         if start:
             silently = self.texts[start] + name.removeprefix(start)
-            problem = (
-                f"${name} is not declared; only its beginning, {start}, is: Mitsuba would "
-                f"silently read it as '{silently}'"
-            )
+            problem = f"${name} is not declared; only its beginning, {start}, is"
+            problem += f": Mitsuba would silently read it as '{silently}'"
             return InputError(problem, f"write ${start} or declare {name}", **place)
         if (meant := self.misdeclared(name)) is not None:
             problem = (
@@ -548,12 +545,9 @@ class _Assembly:
             raise InputError(f"{filename} does not exist", mend, **place)
         self.included += 1
         if self.included > _MOST_FILES or len(chain) > _MOST_NESTED:
-            raise InputError(
-                f"more than {_MOST_FILES} files are included, or more than {_MOST_NESTED} one in "
-                "another",
-                "put the parts into fewer files",
-                **place,
-            )
+            nested = f"more than {_MOST_NESTED} one in another"
+            problem = f"more than {_MOST_FILES} files are included, or {nested}"
+            raise InputError(problem, "put the parts into fewer files", **place)
         for child in list(self.load(target, chain))[::-1]:
             element.addnext(child)
         parent = element.getparent()

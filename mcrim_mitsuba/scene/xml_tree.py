@@ -88,11 +88,10 @@ def _parsed(data: bytes, path: Path) -> Node:
     if root.getroottree().docinfo.internalDTD is not None:
         # no line in an encoding that is not a superset of ASCII
         start = data.find(b"<!DOCTYPE")
+        problem = "a DTD (<!DOCTYPE ...>) or entities are not accepted"
+        mend = "remove the declaration and write the text itself"
         raise InputError(
-            "a DTD (<!DOCTYPE ...>) or entities are not accepted",
-            "remove the declaration and write the text itself",
-            path=path,
-            line=None if start < 0 else data.count(b"\n", 0, start) + 1,
+            problem, mend, path=path, line=None if start < 0 else data.count(b"\n", 0, start) + 1
         )
     _mark_start_lines(root, data)
     _refuse_monsters(root, path)

@@ -43,11 +43,9 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
     from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 
     showing.refuse_places(json_file, [emission, quantum_efficiency], figure)
-    weighted = detector_efficiency(
-        read_spectrum(emission, "emission"),
-        read_spectrum(quantum_efficiency, "quantum_efficiency"),
-        scale_sigma,
-    )
+    light = read_spectrum(emission, "emission")
+    tube = read_spectrum(quantum_efficiency, "quantum_efficiency")
+    weighted = detector_efficiency(light, tube, scale_sigma)
     document = {
         "emission": emission,
         "quantum_efficiency": quantum_efficiency,
@@ -55,12 +53,9 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
         **attributes(weighted, "detector_efficiency=value detector_efficiency_sigma=sigma"),
         **attributes(weighted, "contributions spread outside=mean.outside notes"),
     }
-    result = VerbResult(
-        kind="detector_efficiency",
-        shown=describe_laboratory.of_efficiency(weighted),
-        numbers=document,
-        drawings={"efficiency": lambda: laboratory_figures.draw_efficiency(weighted)},
-    )
+    kind, shown = "detector_efficiency", describe_laboratory.of_efficiency(weighted)
+    drawings = {"efficiency": lambda: laboratory_figures.draw_efficiency(weighted)}
+    result = VerbResult(kind=kind, shown=shown, numbers=document, drawings=drawings)
     showing.answer(result, json_file, figure)
 
 
@@ -149,12 +144,9 @@ def absorption(
         f"the article ({article['where']}) has {100 * article['internal_transmittance']:.0f} % "
         f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
     )
-    result = VerbResult(
-        kind="absorption",
-        shown=describe_laboratory.of_absorption(coefficient, transmittance, beside or "", notes),
-        numbers=document,
-        drawings={"absorption": lambda: laboratory_figures.draw_absorption(coefficient)},
-    )
+    shown = describe_laboratory.of_absorption(coefficient, transmittance, beside or "", notes)
+    drawings = {"absorption": lambda: laboratory_figures.draw_absorption(coefficient)}
+    result = VerbResult(kind="absorption", shown=shown, numbers=document, drawings=drawings)
     showing.answer(result, json_file, figure)
 
 
