@@ -23,6 +23,8 @@ KEYS = {
     "end": "\ue010",
     "space": " ",
     "all": "\ue009a\ue000",
+    "undo": "\ue009z\ue000",
+    "redo": "\ue009\ue008z\ue000",
 }
 
 # Whether what has the focus can be seen: nothing lies above its middle, or its upper end.

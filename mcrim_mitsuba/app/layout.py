@@ -33,8 +33,8 @@ from mcrim_mitsuba.output.pages import environment
 _MOST_CANDIDATES = 8
 #: Below it chi2 is rounding.
 _NO_CHI2 = 5e-4
-#: Characters of a reading's label in the chart, and in a narrow one.
-_LABEL_LENGTHS = (22, 11)
+#: Characters of a reading's label in the chart.
+_LABEL_LENGTH = 18
 #: Steps of a slider.
 _SLIDER_STEPS = 1000
 
@@ -252,7 +252,7 @@ def _chart(
         "signal": units * [r.signal for r in readings],
         "sigma": units * [r.sigma for r in readings],
         "use": [r.use for r in readings],
-        "labels": [shortened_apart([r.label for r in readings], most) for most in _LABEL_LENGTHS],
+        "short": shortened_apart([r.label for r in readings], _LABEL_LENGTH),
         "percent": next(of_beams, None),
         "model": shown and heights(shown.rows),
         "beside": beside and {"name": step_name(beside[0]), **heights(beside[1].rows)},

@@ -26,9 +26,6 @@ class InputError(ValueError):
     from 1 (XML, TOML).
     """
 
-    #: What else was found wrong on the way, independently of it.
-    others: tuple[InputError, ...] = ()
-
     def __init__(
         self,
         problem: str,
@@ -43,6 +40,7 @@ class InputError(ValueError):
         self.path = None if path is None else str(path)
         self.line = line
         self.column = column
+        self.others: tuple[InputError, ...] = ()  # what else was found wrong on the way
         super().__init__(str(self))
 
     def __reduce__(self) -> tuple[Callable[..., InputError], tuple[Any, ...]]:

@@ -145,10 +145,7 @@ def shortened(name: str, most: int = 34) -> str:
 
 
 def shortened_apart(names: Sequence[str], most: int = 34) -> list[str]:
-    """Names of at most so many characters, no two alike: without words that all share if too long.
-
-    Names that are alike even then have their number before them, counted from 1.
-    """
+    """Names of at most so many characters, no two alike: without shared words, or numbered."""
     words = [visible(name).split() for name in names]
     for _ in range(2):  # from their beginnings, then backwards from their ends
         if any(len(" ".join(name)) > most for name in words):
@@ -159,8 +156,7 @@ def shortened_apart(names: Sequence[str], most: int = 34) -> list[str]:
     short = [shortened(" ".join(name).strip(",;"), most) for name in words]
     if len(set(short)) == len(set(names)):
         return short
-    places = [f"{place}: " for place in range(1, len(names) + 1)]
-    return [p + shortened(name, most - len(p)) for p, name in zip(places, short, strict=True)]
+    return [f"{i}: {shortened(name, most - len(f'{i}: '))}" for i, name in enumerate(short, 1)]
 
 
 def entitle(figure: Figure, words: str, weight: str = "bold") -> None:

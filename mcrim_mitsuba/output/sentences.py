@@ -108,8 +108,8 @@ def plausibility(candidate: Candidate) -> str:
         # at the end where it is not there, nothing is gained
         return "absent" if abs(candidate.delta_chi2) < _NO_GAIN else "end of its range"
     if candidate.tolerances_off is not None:
-        doubt = "" if candidate.plausible else "unusual: "
-        return f"{doubt}{candidate.tolerances_off:.1f} tolerances off"
+        off = f"{candidate.tolerances_off:.1f} tolerances"
+        return f"{off} off" if candidate.plausible else f"unusual: {off}"
     return "usual size" if candidate.plausible else "unusual size"
 
 

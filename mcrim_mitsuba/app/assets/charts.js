@@ -4,11 +4,11 @@ const SVG = "http://www.w3.org/2000/svg";
 const TOP = 12;
 const LEFT = 52;
 const RIGHT = 12;
-// heights of the panels of signals and pulls, and whether labels are the shorter ones; a low window's
-// chart stays beside its sliders, a narrow one above them
-const TALL = { signals: 250, pulls: 150, narrow: false };
-const LOW = { signals: 150, pulls: 100, narrow: false };
-const SMALL = { signals: 104, pulls: 78, narrow: true };
+// heights of the panels of signals and pulls; a low window's chart stays beside its sliders, a
+// narrow one above them
+const TALL = { signals: 250, pulls: 150 };
+const LOW = { signals: 150, pulls: 100 };
+const SMALL = { signals: 104, pulls: 78 };
 const [NARROW_PX, LOW_PX] = [480, 800];
 // between the panels
 const BETWEEN = 26;
@@ -114,8 +114,8 @@ function frame(place, chart, extents) {
   const end = chart.percent === null ? RIGHT : LEFT;
   const right = Math.max(place.clientWidth - LEFT - end, READING_PX * count);
   const size = window.innerHeight < LOW_PX ? LOW : TALL;
-  const { signals, pulls, narrow } = place.clientWidth < NARROW_PX ? SMALL : size;
-  const labels = chart.labels[narrow ? 1 : 0];
+  const { signals, pulls } = place.clientWidth < NARROW_PX ? SMALL : size;
+  const labels = chart.short;
   const longest = Math.max(...labels.map((label) => label.length));
   const pullsTop = TOP + signals + BETWEEN;
   const floor = pullsTop + pulls;
