@@ -210,7 +210,8 @@ class Responses:
         """
         fine, coarse = self.grid, self.coarse
         scattering = coarse.scattering.weights_at(fine.scattering.nodes)
-        return np.kron(scattering, coarse.absorption.weights_at(fine.absorption.nodes))
+        absorption = coarse.absorption.weights_at(fine.absorption.nodes)
+        return np.asarray(np.kron(scattering, absorption), np.float64)
 
 
 def stack(tables: Sequence[EtaGrid]) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
