@@ -121,6 +121,11 @@ class EffectResponse:
         of_nodes = self.log_ratio.reshape(len(weights[0]), -1)
         return (np.array(weights) @ of_nodes).reshape(-1, *shape)
 
+    @cached_property
+    def at_absence(self) -> NDArray[np.float64]:
+        """(readings, scattering nodes, absorption nodes) slope by its one parameter, at 0."""
+        return self.added([0.0])[1]
+
     def weights_at(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
         """(points, nodes of all axes) weights of the nodes at (points,) values of each axis."""
         weights = np.ones((1, 1))

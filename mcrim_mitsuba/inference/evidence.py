@@ -148,7 +148,7 @@ def evidence_of(
     for remaining in reversed(range(rounds)):
         z, log_density = _drawn(modes, points // rounds if remaining else points, rng)
         theta = sampled.values(z)
-        log_weight = sampled.log_likelihood(theta) - 0.5 * (z**2).sum(1)
+        log_weight = sampled.log_likelihood(theta) - 0.5 * _squared(z)
         log_weight -= 0.5 * z.shape[1] * math.log(2.0 * math.pi) + log_density
         total = float(log_sum(log_weight))
         log, share = total - math.log(len(z)), np.exp(log_weight - total)
@@ -189,7 +189,7 @@ class _Sampled:
         """(points,) of (points, free) parameters, up to a constant of the campaign."""
         predicted = self._statistic.model.predict_many(theta)[:, self._statistic.used]
         residuals = self._weights.whiten(self._statistic.signal - predicted)
-        return -0.5 * ((residuals**2).sum(1) + self._weights.log_determinant)
+        return -0.5 * (_squared(residuals) + self._weights.log_determinant)
 
     def maximum(self, theta: Array) -> tuple[Array, Array]:
         """(free,) numbers z where the posterior density is highest, and their covariance.
@@ -257,12 +257,17 @@ def _drawn(
         normal = rng.standard_normal((count, dimensions)) @ factor.T
         parts.append(centre + normal * stretch)
     z = np.concatenate(parts)
-    log_normal = -0.5 * (z**2).sum(1) - 0.5 * dimensions * math.log(2.0 * math.pi)
+    log_normal = -0.5 * _squared(z) - 0.5 * dimensions * math.log(2.0 * math.pi)
     log_densities = [log_normal] + [
         _log_student(n, z - centre, factor)
         for (centre, _), factor in zip(modes, factors, strict=True)
     ]
     return z, log_sum(np.log(shares)[:, None] + log_densities)
+
+
+def _squared(vectors: Array) -> Array:
+    """(points,) squared lengths of (points, k) vectors."""
+    return np.asarray(np.einsum("pk,pk->p", vectors, vectors))
 
 
 def log_sum(logs: Array) -> Array:

@@ -415,7 +415,7 @@ class ResponseModel:
     @cached_property
     def of_tolerances(self) -> Array:
         """(tolerances, readings, ...) what a standard uncertainty of each adds, as of `added`."""
-        moved = [of.sigma * response.added([0.0])[1] for of, response in self.tolerances.items()]
+        moved = [of.sigma * response.at_absence for of, response in self.tolerances.items()]
         return np.reshape(moved, (len(moved), len(self.readings), *self.responses.coarse.counts))
 
     def columns_of(self, name: str) -> list[tuple[int, Array]]:

@@ -251,7 +251,7 @@ class _Weigher:
         #: (3, sets) by member: to look along a short last axis takes long.
         self._members = np.ascontiguousarray(self.sets.members.T)
         is_effect = (self._members >= 0) & (self._members < len(self._effects))
-        self._with_effect: NDArray[np.bool_] = is_effect.any(axis=0)
+        self._with_effect = np.asarray(is_effect.any(axis=0), bool)
         self._keys = self._keys_of(self.sets.members, self.sets.within)
         self._by_key = np.argsort(self._keys)
         self._log_weights = self.sets.log_weights - self.sets.log_weights[0]
