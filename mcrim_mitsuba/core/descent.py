@@ -47,14 +47,13 @@ def minimise(
     movable[list(held)] = False
     damping = _FIRST_DAMPING
     for _ in range(steps):
-        free = movable & ~((x <= low) & (gradient > 0)) & ~((x >= high) & (gradient < 0))
-        at = np.flatnonzero(free)
+        (at,) = (movable & (x != np.where(gradient > 0, low, high))).nonzero()
         if not len(at):
             return x, height, True
         matrix = curvature[at[:, None], at]
         diagonal = matrix.diagonal()
         size = 1.0 / np.sqrt(np.maximum(diagonal, 1e-12 * max(diagonal.max(), 1e-300)))
-        scaled = matrix * size[:, None] * size
+        scaled = matrix * (size[:, None] * size)
         scaled.flat[:: len(at) + 1] += damping
         step = np.zeros(len(x))
         step[at] = -np.linalg.solve(scaled, gradient[at] * size) * size

@@ -121,6 +121,11 @@ class EffectResponse:
         of_nodes = self.log_ratio.reshape(len(weights[0]), -1)
         return (np.array(weights) @ of_nodes).reshape(-1, *shape)
 
+    @cached_property
+    def at_absence(self) -> NDArray[np.float64]:
+        """(readings, scattering nodes, absorption nodes) slope by its one parameter, at 0."""
+        return self.added([0.0])[1]
+
     def weights_at(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
         """(points, nodes of all axes) weights of the nodes at (points,) values of each axis."""
         weights = np.ones((1, 1))
@@ -211,7 +216,7 @@ class Responses:
         fine, coarse = self.grid, self.coarse
         scattering = coarse.scattering.weights_at(fine.scattering.nodes)
         absorption = coarse.absorption.weights_at(fine.absorption.nodes)
-        return np.kron(scattering, absorption).astype(np.float64)
+        return np.asarray(np.kron(scattering, absorption), np.float64)
 
 
 def stack(tables: Sequence[EtaGrid]) -> tuple[NDArray[np.float64], NDArray[np.float32]]:

@@ -447,7 +447,8 @@ class _Products:
 
 def _starts(members: Indices) -> Indices:
     """Where strips of another set begin; (strips, 3) causes, those of one set together."""
-    return np.flatnonzero(np.append(True, (members[1:] != members[:-1]).any(axis=1)))
+    first, second, third = (members[1:] != members[:-1]).T
+    return np.flatnonzero(np.append(True, first | second | third))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -239,7 +239,8 @@ class ResponseModel:
             for tolerance in campaign.tolerances
             if tolerance.number.name in responses.effects
         }
-        self._column = {parameter.name: i for i, parameter in enumerate(self.free)}
+        #: Place of every free parameter, by its name.
+        self.column = {parameter.name: i for i, parameter in enumerate(self.free)}
         self._set_rows()
         self._latest: PredictionPoint | None = None
         # by effect, at its latest values, what it adds: where its size is held that stays
@@ -269,12 +270,14 @@ class ResponseModel:
             name: {own: np.array(named) == own for own in dict.fromkeys(named)}
             for name, named in self._named.items()
         }
-        # by free scale, the rows of light that it stands for
-        self._lit_by = {
-            name: np.flatnonzero(rows & self._of_light)
-            for name, rows in self._rows_of[SCALE].items()
-            if name in self._column
-        }
+        # (readings, scales) signal of light per scale and eta; a beam's is its eta
+        self._per_scale = np.stack(
+            [
+                self._measured.energy_ratio * (rows & self._of_light)
+                for rows in self._rows_of[SCALE].values()
+            ],
+            axis=1,
+        )
         # rows that have the same coefficients, whatever these are: most are of one crystal
         columns = (self._coefficients(name) for name in (ALPHA_SCAT, ALPHA_ABS))
         self._own = list(zip(*columns, strict=True))
@@ -284,7 +287,7 @@ class ResponseModel:
 
     def _values(self, theta: Array) -> dict[str, float]:
         """All parameters that the campaign names, free and held."""
-        return {**self._held, **dict(zip(self._column, theta.tolist(), strict=True))}
+        return {**self._held, **dict(zip(self.column, theta.tolist(), strict=True))}
 
     def _at(self, values: Mapping[str, float]) -> PredictionPoint:
         """What the responses say at these values; who asks next often asks for another scale."""
@@ -298,11 +301,7 @@ class ResponseModel:
         values = self._values(theta)
         at = self._at(values)
         eta = np.exp(at.log_eta if self._shift is None else at.log_eta + self._shift)
-        # of a parameter that changes no light they are 0
-        eta_slopes = np.zeros((len(self.readings), len(self.free)))
-        for name, column in self._column.items():
-            if name in at.slopes:
-                eta_slopes[:, column] = eta * at.slopes[name]
+        eta_slopes = eta[:, None] * at.slopes
         sent = self._sent(values, eta, eta_slopes)
         signal, signal_slopes, per_eta = self._read(values, *sent)
         eta_errors = eta_sigma = None
@@ -330,15 +329,15 @@ class ResponseModel:
         Scale times efficiency factor times eta; a transmittance is the efficiency itself, and no
         photomultiplier read it.
         """
-        light, common = self._of_light, values.get(EFFICIENCY_FACTOR, 1.0)
-        lines = self._measured.energy_ratio
-        scales = lines * [values[name] for name in self._named[SCALE]]
-        per_eta = np.where(light, common * scales, 1.0)
+        common = values.get(EFFICIENCY_FACTOR, 1.0)
+        scales = self._per_scale @ [values[name] for name in self._rows_of[SCALE]]
+        per_eta = common * scales + ~self._of_light
         slopes = per_eta[:, None] * eta_slopes
-        for name, rows in self._lit_by.items():
-            slopes[rows, self._column[name]] = common * (lines * eta)[rows]
-        if EFFICIENCY_FACTOR in self._column:
-            slopes[light, self._column[EFFICIENCY_FACTOR]] = (scales * eta)[light]
+        for name, per_scale in zip(self._rows_of[SCALE], self._per_scale.T, strict=True):
+            if name in self.column:
+                slopes[:, self.column[name]] = common * per_scale * eta
+        if EFFICIENCY_FACTOR in self.column:
+            slopes[:, self.column[EFFICIENCY_FACTOR]] = scales * eta
         return per_eta * eta, slopes, per_eta
 
     def _read(
@@ -351,8 +350,8 @@ class ResponseModel:
             by_signal = np.where(rows, by_signal, 1.0)
             per_eta = per_eta * by_signal
             slopes = slopes * by_signal[:, None]
-            if name in self._column:
-                slopes[:, self._column[name]] += np.where(rows, by_value, 0.0)
+            if name in self.column:
+                slopes[:, self.column[name]] += np.where(rows, by_value, 0.0)
         return signal, slopes, per_eta
 
     def predict_many(self, thetas: Array) -> Array:
@@ -361,9 +360,8 @@ class ResponseModel:
         log_eta = np.empty((len(thetas), len(self.readings)))
         for named, rows in self._alike.items():
             pair = [values[n] if isinstance(n, str) else np.array([n]) for n in named]
-            fine, coarse = (
-                grid.weights_at(*pair) for grid in (self.responses.grid, self.responses.coarse)
-            )
+            fine = self.responses.grid.weights_at(*pair)
+            coarse = fine @ self.responses.coarser
             of_rows = fine @ self.responses.log_eta[rows].reshape(len(rows), -1).T
             for response in self.switched_on.values():
                 weights = response.weights_at([values[axis.name] for axis in response.axes])
@@ -374,10 +372,9 @@ class ResponseModel:
             log_eta[:, rows] = of_rows
         if self._shift is not None:
             log_eta += self._shift
-        scales = np.stack(np.broadcast_arrays(*(values[n] for n in self._named[SCALE])), axis=-1)
+        scales = np.stack(np.broadcast_arrays(*(values[n] for n in self._rows_of[SCALE])), axis=-1)
         scales = scales * values.get(EFFICIENCY_FACTOR, np.ones(1))[:, None]
-        scales = scales * self._measured.energy_ratio
-        signal = np.where(self._of_light, scales, 1.0) * np.exp(log_eta)
+        signal = (scales @ self._per_scale.T + ~self._of_light) * np.exp(log_eta)
         for name, reading, reads in self._of_readings:
             # formulas of effects take numbers, and as well a column of them
             size: Any = values[name][:, None]
@@ -395,7 +392,7 @@ class ResponseModel:
     def _coefficients(self, name: str) -> list[str | float]:
         """Every reading's own coefficient: its parameter, fitted or held, or a number."""
         default = self.campaign.values[name]
-        known = self._held.keys() | self._column.keys()
+        known = self._held.keys() | self.column.keys()
         return [
             own if own in known else float(reading.parameters.get(name, default))
             for own, reading in zip(self._named[name], self.readings, strict=True)
@@ -418,15 +415,13 @@ class ResponseModel:
     @cached_property
     def of_tolerances(self) -> Array:
         """(tolerances, readings, ...) what a standard uncertainty of each adds, as of `added`."""
-        moved = [of.sigma * response.added([0.0])[1] for of, response in self.tolerances.items()]
+        moved = [of.sigma * response.at_absence for of, response in self.tolerances.items()]
         return np.reshape(moved, (len(moved), len(self.readings), *self.responses.coarse.counts))
 
-    def by_name(self, name: str, slopes: Array) -> dict[str, Array]:
-        """Slopes by every reading's own coefficient as those by the parameters that stand for it.
-
-        `slopes` are (readings,); a parameter that is not a reading's own has none there.
-        """
-        return {own: np.where(rows, slopes, 0.0) for own, rows in self._rows_of[name].items()}
+    def columns_of(self, name: str) -> list[tuple[int, Array]]:
+        """Columns of free parameters that stand for a coefficient, each with (readings,) 1 or 0."""
+        named = self._rows_of[name].items()
+        return [(self.column[own], rows) for own, rows in named if own in self.column]
 
 
 class PredictionPoint:
@@ -450,17 +445,20 @@ class PredictionPoint:
         }
         # (3, readings) with slopes by alpha_scat and alpha_abs
         all_of_it = self._fine.value_and_slopes(self._responses.log_eta)
-        #: (readings,) d log_eta / d parameter, by its name.
-        self.slopes: dict[str, Array] = {}
+        #: (readings, free) d log_eta / d parameter; of one that changes no light they are 0.
+        self.slopes = np.zeros((len(model.readings), len(model.free)))
         for name, (response, own) in self._switched_on.items():
             added = self._coarse.value_and_slopes(model.added(name, own))
             all_of_it = all_of_it + added[:, 0]
             for axis, slopes in zip(response.axes, added[0, 1:], strict=True):
                 # a beam's parameter may be one of several effects' responses
-                self.slopes[axis.name] = self.slopes.get(axis.name, 0.0) + slopes
+                if axis.name in model.column:
+                    self.slopes[:, model.column[axis.name]] += slopes
         #: (readings,) Without the anchor's correction.
         self.log_eta, by_scat, by_abs = all_of_it
-        self.slopes |= model.by_name(ALPHA_SCAT, by_scat) | model.by_name(ALPHA_ABS, by_abs)
+        for name, by_coefficient in ((ALPHA_SCAT, by_scat), (ALPHA_ABS, by_abs)):
+            for column, rows in model.columns_of(name):
+                self.slopes[:, column] = rows * by_coefficient
 
     @property
     def _added(self) -> list[tuple[EffectResponse, list[float]]]:

@@ -183,7 +183,7 @@ def capability(
     kinds = sorted({families[name] for name in names})
     own = np.array([kinds.index(families[name]) for name in names], int)
     of_sets = np.append(own, np.full(len(design.causes) - len(names) + 1, -1))[members]
-    by_kind = np.stack([shares[:, of_sets == kind].sum(axis=1) for kind in range(len(kinds))], 1)
+    by_kind = shares @ (of_sets[:, None] == np.arange(len(kinds)))
     likeliest = np.where(by_kind.max(axis=1) >= sure, by_kind.argmax(axis=1), -1)
     true = np.repeat(own, REHEARSALS.draws)
     hits = (likeliest == true).reshape(len(names), -1).mean(axis=1)

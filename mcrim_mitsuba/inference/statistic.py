@@ -445,7 +445,7 @@ class Statistic:
         """
         prediction = self.model.predict(theta)
         # in one go: the residuals, and their slopes by every parameter
-        moved = np.vstack([prediction.signal, prediction.signal_slopes.T])[:, self.used]
+        moved = np.concatenate([prediction.signal[None], prediction.signal_slopes.T])[:, self.used]
         moved[0] -= self.signal
         rows = np.concatenate([weights.whiten(-moved), self._prior_rows], axis=1)
         rows[0, len(self.signal) :] = (self.prior - theta)[self._priors] * self._prior_roots

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, ndtr, softmax
+from scipy.special import ndtr, softmax
 
 from mcrim_mitsuba.campaign.parameter import SCALE, LightYieldInput
 from mcrim_mitsuba.core.descent import Array
@@ -34,7 +34,7 @@ from mcrim_mitsuba.inference.displacement import (
     curve_of,
 )
 from mcrim_mitsuba.inference.drivers import Minimum, settle
-from mcrim_mitsuba.inference.evidence import NOTHING_MISSING, Evidence, evidence_of
+from mcrim_mitsuba.inference.evidence import NOTHING_MISSING, Evidence, evidence_of, log_sum
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.rehearsal import QUANTILES, Design, quantile, widening
 from mcrim_mitsuba.inference.rival_causes import (
@@ -248,6 +248,10 @@ class _Weigher:
             excluded=self._excluded,
         )
         self.sets: WeighedSets = self.design.weighed(null.frame.z)
+        #: (3, sets) by member: to look along a short last axis takes long.
+        self._members = np.ascontiguousarray(self.sets.members.T)
+        is_effect = (self._members >= 0) & (self._members < len(self._effects))
+        self._with_effect = np.asarray(is_effect.any(axis=0), bool)
         self._keys = self._keys_of(self.sets.members, self.sets.within)
         self._by_key = np.argsort(self._keys)
         self._log_weights = self.sets.log_weights - self.sets.log_weights[0]
@@ -334,7 +338,7 @@ class _Weigher:
         closed = self._log_weights.copy()
         closed[list(self._full)] = -math.inf
         place = int(closed.argmax())
-        worth = math.log(HYPOTHESES.worth) + float(logsumexp(self._log_weights))
+        worth = math.log(HYPOTHESES.worth) + float(log_sum(self._log_weights))
         return place if closed[place] > worth else None
 
     def average_over(self, place: int) -> None:
@@ -345,7 +349,7 @@ class _Weigher:
         if not self._explanations.possible(effects):  # more parameters than readings and priors
             self._full[place] = self._closed(place)
             return
-        own_part = math.exp(self._log_weights[place] - float(logsumexp(self._log_weights)))
+        own_part = math.exp(self._log_weights[place] - float(log_sum(self._log_weights)))
         rough = own_part < HYPOTHESES.precise
         if around.is_plain and not wrong:
             fit = self._explanations.fit(effects)
@@ -356,7 +360,7 @@ class _Weigher:
             evidences = self._averaged(effects, wrong, around, rough=rough)
         logs = [evidence.log for _, evidence in evidences]
         fit, evidence = evidences[int(np.argmax(logs))]
-        log = float(logsumexp(logs)) - math.log(len(logs))
+        log = float(log_sum(np.array(logs))) - math.log(len(logs))
         own = self._explanations.log_odds(effects) + around.log_prior
         own += sum(self._log_odds_of[name] for name in wrong)
         closed = float(self._log_weights[place])
@@ -475,7 +479,7 @@ class _Weigher:
         much of that is its, too.
         """
         sets, priors = self.sets, np.exp([around.log_prior for around in self._surroundings])
-        effects = ((sets.members >= 0) & (sets.members < len(self._effects))).any(axis=1)
+        effects = self._with_effect
         unknown = np.array([around.amplitude > 0.0 for around in self._surroundings])
         nothing = (sets.members[:, 0] < 0) & (sets.within == 0)
         of_instrument = ~effects & ~unknown[sets.within] & ~nothing
@@ -487,7 +491,7 @@ class _Weigher:
     def _inclusion(self, shares: Array) -> dict[str, float]:
         """Probability of all sets with an effect, by effect."""
         return {
-            name: float(shares[(self.sets.members == i).any(axis=1)].sum())
+            name: float(shares[(self._members == i).any(axis=0)].sum())
             for i, name in enumerate(self._effects)
         }
 
@@ -497,11 +501,11 @@ class _Weigher:
         members: dict[str, NDArray[np.bool_]] = {}
         for i, name in enumerate(self._effects):
             family = self._explanations.effects[name].family
-            held = (sets.members == i).any(axis=1)
+            held = (self._members == i).any(axis=0)
             members[family] = members.get(family, np.zeros(len(shares), bool)) | held
         amplitudes = np.array([s.amplitude > 0.0 for s in sets.surroundings])
         factors = np.array([s.error_factor != 1.0 for s in sets.surroundings])
-        members[INSTRUMENT] = (sets.members >= count).any(axis=1) | factors[sets.within]
+        members[INSTRUMENT] = (self._members >= count).any(axis=0) | factors[sets.within]
         members[UNKNOWN] = amplitudes[sets.within]
         members[NOTHING_MISSING] = (sets.members[:, 0] < 0) & (sets.within == 0)
         families = {family: float(shares[held].sum()) for family, held in members.items()}
@@ -527,8 +531,7 @@ class _Weigher:
         moves = ndtr((-limit - means) / width) + ndtr((means - limit) / width)
         moves *= there
         # a wrong reading moves no prediction but through what is fitted
-        effects = ((sets.members >= 0) & (sets.members < len(self._effects))).any(axis=1)
-        for likely in np.flatnonzero(effects & (shares > HYPOTHESES.listed)).tolist():
+        for likely in np.flatnonzero(self._with_effect & (shares > HYPOTHESES.listed)).tolist():
             readings = self._frame.readings_moved(sets.moved(likely, self._frame.z))
             if np.abs(readings).max(initial=0.0) > 2.0:
                 moves[likely] = 1.0
