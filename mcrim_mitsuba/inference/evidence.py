@@ -86,7 +86,7 @@ def size(absent: float, plausible: tuple[float, float], low: float, high: float)
     away = np.array([-widths[0], widths[1]])
 
     def quantile(u: Array) -> Array:
-        side = (u >= share_below).astype(int)
+        side = np.where(u < share_below, 0, 1)
         # how far u is through its side, from the absence outwards
         through = abs(u - share_below) / shares[side]
         part = 0.5 + 0.5 * (begins[side] + (ends - begins)[side] * through)
