@@ -147,7 +147,7 @@ def test_a_point_of_the_fine_grid_tells_that_of_the_coarse_one():
     # at a node and beyond the ends, too
     for a_s, a_a in ((0.002, 0.05), (0.3, 0.6), (1.7, 0.011), (5.2, 0.0025)):
         own, by_fine = (Point.of(grid, [a_s], [a_a]) for grid in (coarse, fine))
-        assert by_fine.on(coarser).weights == pytest.approx(own.weights, rel=1e-8, abs=1e-9)
+        assert by_fine.on(coarser).weights == pytest.approx(own.weights, rel=1e-11, abs=1e-10)
 
 
 def test_errors_of_a_table_are_honest():
