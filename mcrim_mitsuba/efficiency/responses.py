@@ -44,7 +44,7 @@ class Point:
         return cls(np.array([found[pair] for pair in (pairs if len(found) > 1 else found)]))
 
     def on(self, coarser: NDArray[np.float64]) -> Point:
-        """The same on a grid with fewer nodes, as of `Responses.coarser`."""
+        """The same on a grid of fewer nodes, whose polynomials go exactly through these ones."""
         return Point(self.weights @ coarser)
 
     def value(self, table: NDArray) -> NDArray[np.float64]:
@@ -109,17 +109,14 @@ class EffectResponse:
     deviations: NDArray[np.float32]
 
     def added(self, values: Sequence[float]) -> NDArray[np.float64]:
-        """(1 + axes, readings, scattering nodes, absorption nodes) addition at some values.
-
-        With its slopes by each of them.
-        """
+        """(1 + axes, readings, ...) tables of the addition at some values, and of its slopes."""
         of_axes = [axis.weights(value) for axis, value in zip(self.axes, values, strict=True)]
-        weights = [_outer([weights for weights, _ in of_axes])]
-        for i in range(len(of_axes)):
-            weights.append(_outer([pair[i == j] for j, pair in enumerate(of_axes)]))
-        shape = self.log_ratio.shape[len(of_axes) :]
-        of_nodes = self.log_ratio.reshape(len(weights[0]), -1)
-        return (np.array(weights) @ of_nodes).reshape(-1, *shape)
+        # the slope of none, of the first, ...
+        outer = [
+            _outer([of[i == j] for j, of in enumerate(of_axes)]) for i in range(-1, len(of_axes))
+        ]
+        of_nodes = self.log_ratio.reshape(len(outer[0]), -1)
+        return (np.array(outer) @ of_nodes).reshape(-1, *self.log_ratio.shape[len(of_axes) :])
 
     @cached_property
     def at_absence(self) -> NDArray[np.float64]:
@@ -208,14 +205,9 @@ class Responses:
 
     @cached_property
     def coarser(self) -> NDArray[np.float64]:
-        """(nodes, coarse nodes) weights of the coarse grid's values at the nodes of the other.
-
-        A polynomial of fewer powers goes through the latter exactly: the product with weights of
-        the fine grid are those of the coarse one.
-        """
-        fine, coarse = self.grid, self.coarse
-        scattering = coarse.scattering.weights_at(fine.scattering.nodes)
-        absorption = coarse.absorption.weights_at(fine.absorption.nodes)
+        """(nodes, coarse nodes) weights of `coarse` at the nodes of `grid`; powers are fewer."""
+        scattering = self.coarse.scattering.weights_at(self.grid.scattering.nodes)
+        absorption = self.coarse.absorption.weights_at(self.grid.absorption.nodes)
         return np.asarray(np.kron(scattering, absorption), np.float64)
 
 

@@ -252,7 +252,8 @@ def diagnose(
         run.tell(words, 1, 1)
 
     while True:
-        models = simulations.simulate(names, look=set(names) - {*precise, *adding})
+        if not models.precise >= {*precise, *adding}:
+            models = simulations.simulate(names, look=set(names) - {*precise, *adding})
         judged = judge(
             models.model,
             candidates,

@@ -233,18 +233,10 @@ class ResponseModel:
             "only {:g}..{:g} is simulated",
             "give it min and max within that range",
         )
-        #: By tolerance that was simulated.
-        self.tolerances = {
-            tolerance: responses.effects[tolerance.number.name]
-            for tolerance in campaign.tolerances
-            if tolerance.number.name in responses.effects
-        }
         #: Place of every free parameter, by its name.
         self.column = {parameter.name: i for i, parameter in enumerate(self.free)}
         self._set_rows()
         self._latest: PredictionPoint | None = None
-        # by effect, at its latest values, what it adds: where its size is held that stays
-        self._added: dict[str, tuple[Sequence[float], Array]] = {}
         self._shift: Array | None = None
         if anchor is not None:
             values = {**self._held, **anchor.values}
@@ -265,19 +257,14 @@ class ResponseModel:
         """Which readings each coefficient and scale stands for."""
         # parameters that change signals, but no eta
         self._of_signal = {SCALE, *self._named[SCALE], EFFICIENCY_FACTOR}
-        # by coefficient or scale, and by the parameter that stands for it, these rows
-        self._rows_of = {
+        #: By coefficient or scale, and by the parameter that stands for it, (readings,) its rows.
+        self.rows_of = {
             name: {own: np.array(named) == own for own in dict.fromkeys(named)}
             for name, named in self._named.items()
         }
         # (readings, scales) signal of light per scale and eta; a beam's is its eta
-        self._per_scale = np.stack(
-            [
-                self._measured.energy_ratio * (rows & self._of_light)
-                for rows in self._rows_of[SCALE].values()
-            ],
-            axis=1,
-        )
+        lit = self._measured.energy_ratio * self._of_light
+        self._per_scale = np.transpose([lit * rows for rows in self.rows_of[SCALE].values()])
         # rows that have the same coefficients, whatever these are: most are of one crystal
         columns = (self._coefficients(name) for name in (ALPHA_SCAT, ALPHA_ABS))
         self._own = list(zip(*columns, strict=True))
@@ -302,8 +289,7 @@ class ResponseModel:
         at = self._at(values)
         eta = np.exp(at.log_eta if self._shift is None else at.log_eta + self._shift)
         eta_slopes = eta[:, None] * at.slopes
-        sent = self._sent(values, eta, eta_slopes)
-        signal, signal_slopes, per_eta = self._read(values, *sent)
+        signal, signal_slopes, per_eta = self._read(values, *self._sent(values, eta, eta_slopes))
         eta_errors = eta_sigma = None
         if covariance or check:
             eta_errors = eta[:, None] * errors_of(at.deviations)
@@ -330,10 +316,10 @@ class ResponseModel:
         photomultiplier read it.
         """
         common = values.get(EFFICIENCY_FACTOR, 1.0)
-        scales = self._per_scale @ [values[name] for name in self._rows_of[SCALE]]
+        scales = self._per_scale @ [values[name] for name in self.rows_of[SCALE]]
         per_eta = common * scales + ~self._of_light
         slopes = per_eta[:, None] * eta_slopes
-        for name, per_scale in zip(self._rows_of[SCALE], self._per_scale.T, strict=True):
+        for name, per_scale in zip(self.rows_of[SCALE], self._per_scale.T, strict=True):
             if name in self.column:
                 slopes[:, self.column[name]] = common * per_scale * eta
         if EFFICIENCY_FACTOR in self.column:
@@ -372,7 +358,7 @@ class ResponseModel:
             log_eta[:, rows] = of_rows
         if self._shift is not None:
             log_eta += self._shift
-        scales = np.stack(np.broadcast_arrays(*(values[n] for n in self._rows_of[SCALE])), axis=-1)
+        scales = np.stack(np.broadcast_arrays(*(values[n] for n in self.rows_of[SCALE])), axis=-1)
         scales = scales * values.get(EFFICIENCY_FACTOR, np.ones(1))[:, None]
         signal = (scales @ self._per_scale.T + ~self._of_light) * np.exp(log_eta)
         for name, reading, reads in self._of_readings:
@@ -402,26 +388,18 @@ class ResponseModel:
         """The coefficients' place on the grid of the bench."""
         own = self._own if len(self._alike) > 1 else self._own[:1]
         pairs = [[values[n] if isinstance(n, str) else n for n in named] for named in own]
-        columns = list(zip(*pairs, strict=True))
-        return Point.of(self.responses.grid, *columns)
-
-    def added(self, effect: str, values: Sequence[float]) -> Array:
-        """What an effect that is switched on adds at some values, see `EffectResponse.added`."""
-        latest = self._added.get(effect)
-        if latest is None or latest[0] != values:
-            latest = self._added[effect] = values, self.switched_on[effect].added(values)
-        return latest[1]
+        return Point.of(self.responses.grid, *zip(*pairs, strict=True))
 
     @cached_property
     def of_tolerances(self) -> Array:
         """(tolerances, readings, ...) what a standard uncertainty of each adds, as of `added`."""
-        moved = [of.sigma * response.at_absence for of, response in self.tolerances.items()]
+        by_name = self.responses.effects
+        moved = [
+            of.sigma * by_name[of.number.name].at_absence
+            for of in self.campaign.tolerances
+            if of.number.name in by_name
+        ]
         return np.reshape(moved, (len(moved), len(self.readings), *self.responses.coarse.counts))
-
-    def columns_of(self, name: str) -> list[tuple[int, Array]]:
-        """Columns of free parameters that stand for a coefficient, each with (readings,) 1 or 0."""
-        named = self._rows_of[name].items()
-        return [(self.column[own], rows) for own, rows in named if own in self.column]
 
 
 class PredictionPoint:
@@ -447,8 +425,8 @@ class PredictionPoint:
         all_of_it = self._fine.value_and_slopes(self._responses.log_eta)
         #: (readings, free) d log_eta / d parameter; of one that changes no light they are 0.
         self.slopes = np.zeros((len(model.readings), len(model.free)))
-        for name, (response, own) in self._switched_on.items():
-            added = self._coarse.value_and_slopes(model.added(name, own))
+        for response, own in self._switched_on.values():
+            added = self._coarse.value_and_slopes(response.added(own))
             all_of_it = all_of_it + added[:, 0]
             for axis, slopes in zip(response.axes, added[0, 1:], strict=True):
                 # a beam's parameter may be one of several effects' responses
@@ -457,8 +435,9 @@ class PredictionPoint:
         #: (readings,) Without the anchor's correction.
         self.log_eta, by_scat, by_abs = all_of_it
         for name, by_coefficient in ((ALPHA_SCAT, by_scat), (ALPHA_ABS, by_abs)):
-            for column, rows in model.columns_of(name):
-                self.slopes[:, column] = rows * by_coefficient
+            for parameter, rows in model.rows_of[name].items():
+                if parameter in model.column:
+                    self.slopes[:, model.column[parameter]] = rows * by_coefficient
 
     @property
     def _added(self) -> list[tuple[EffectResponse, list[float]]]:

@@ -161,8 +161,6 @@ class CampaignSimulations:
         self._start = time.perf_counter()
         self._schedules: list[Schedule] = []
         self._models: CampaignModels | None = None
-        # effects that these have, and those of them that got a first look
-        self._made: tuple[list[str], set[str]] = [], set()
         # of the campaign's own effects; whether one is needed is known once there are models
         self._anchor: Anchor | None = None
         # of the campaign as it is by its responses, found to see whether its grid is wide enough
@@ -198,18 +196,14 @@ class CampaignSimulations:
         wanted = [catalogue[name] for name in (*self.campaign.effects, *effects)]
         precise = frozenset[str]() if self._models is None else self._models.precise
         precise |= {e.name for e in wanted if e.name not in look or e.reading is not None}
-        made = [effect.name for effect in wanted], set(look) - precise
-        if self._models is not None and self._made == made:
-            return self._models
         if self._models is None and self.maker.looks and self.campaign.tolerances:
             self._look_beyond(wanted)
         self._models = CampaignModels(
             campaign=self.campaign,
-            responses=self.maker.make(wanted, made[1]),
+            responses=self.maker.make(wanted, set(look) - precise),
             anchor=self._anchor,
             precise=precise,
         )
-        self._made = made
         if not all(self._beyond) and not self._minima:
             self._minima = find_minima(Statistic(self._models.model()))
             beyond = self._goes_beyond(self._minima[0])

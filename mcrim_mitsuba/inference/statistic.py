@@ -455,6 +455,5 @@ class Statistic:
 
     def chi2(self, theta: Array, weights: Weights) -> float:
         """Readings' chi2 plus the priors'."""
-        residuals = weights.whiten(self.residuals(self.model.predict(theta)))
-        pulls = self.prior_pulls(theta)
-        return float(residuals @ residuals + pulls @ pulls)
+        residuals, _ = self.evaluate(theta, weights)
+        return float(residuals @ residuals)

@@ -248,10 +248,10 @@ class _Weigher:
             excluded=self._excluded,
         )
         self.sets: WeighedSets = self.design.weighed(null.frame.z)
-        #: (3, sets) by member: to look along a short last axis takes long.
+        # (3, sets): along a short last axis numpy looks slowly
         self._members = np.ascontiguousarray(self.sets.members.T)
         is_effect = (self._members >= 0) & (self._members < len(self._effects))
-        self._with_effect = np.asarray(is_effect.any(axis=0), bool)
+        self._with_effect = np.asarray(is_effect.any(axis=0))
         self._keys = self._keys_of(self.sets.members, self.sets.within)
         self._by_key = np.argsort(self._keys)
         self._log_weights = self.sets.log_weights - self.sets.log_weights[0]
@@ -479,13 +479,12 @@ class _Weigher:
         much of that is its, too.
         """
         sets, priors = self.sets, np.exp([around.log_prior for around in self._surroundings])
-        effects = self._with_effect
         unknown = np.array([around.amplitude > 0.0 for around in self._surroundings])
         nothing = (sets.members[:, 0] < 0) & (sets.within == 0)
-        of_instrument = ~effects & ~unknown[sets.within] & ~nothing
+        of_instrument = ~self._with_effect & ~unknown[sets.within] & ~nothing
         rivals = priors[1:][~unknown[1:]].sum() + RIVALS.bad_odds + RIVALS.swapped_odds
         mistaken = priors[unknown].sum() / (priors[unknown].sum() + rivals)
-        without_name = shares[~effects & unknown[sets.within]].sum()
+        without_name = shares[~self._with_effect & unknown[sets.within]].sum()
         return float(without_name + mistaken * shares[of_instrument].sum())
 
     def _inclusion(self, shares: Array) -> dict[str, float]:

@@ -9,7 +9,7 @@ import pytest
 
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES, Grid, GridReweighter
 from mcrim_mitsuba.efficiency.eta_surface import EtaSurface
-from mcrim_mitsuba.efficiency.responses import Point, errors_of, stack
+from mcrim_mitsuba.efficiency.responses import Point, Responses, errors_of, stack
 from mcrim_mitsuba.efficiency.surface import Cubics, Lagrange, chebyshev_nodes
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords
 
@@ -137,6 +137,17 @@ def test_slopes_of_a_point_are_those_of_its_values():
     assert by_abs[0] == pytest.approx(
         (value(a_s, a_a + step) - value(a_s, a_a - step)) / (2 * step), rel=1e-5
     )
+
+
+def test_a_point_of_the_fine_grid_tells_that_of_the_coarse_one():
+    ranges = (0.002, 5.0), (0.003, 0.6)
+    fine, coarse = Grid(*ranges), Grid(*ranges, coarse=True)
+    none = np.zeros((1, *fine.counts))
+    coarser = Responses(fine, coarse, none, none[None].astype(np.float32)).coarser
+    # at a node and beyond the ends, too
+    for a_s, a_a in ((0.002, 0.05), (0.3, 0.6), (1.7, 0.011), (5.2, 0.0025)):
+        own, by_fine = (Point.of(grid, [a_s], [a_a]) for grid in (coarse, fine))
+        assert by_fine.on(coarser).weights == pytest.approx(own.weights, rel=1e-11, abs=1e-10)
 
 
 def test_errors_of_a_table_are_honest():
