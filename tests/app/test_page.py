@@ -369,7 +369,7 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
             lambda: "with air bubble in the gap" in browser.text("#fitted"), "what was removed"
         )
         for keys, there in (("redo", False), ("undo", True)):
-            app.press(KEYS[keys])
+            browser.driver.switch_to.active_element.send_keys(KEYS[keys])
             browser.wait_for(
                 lambda is_=there: ("with air bubble" in browser.text("#fitted")) == is_, keys
             )
