@@ -164,6 +164,8 @@ class Model:
         known = self.light_yield
         self.campaign = SimpleNamespace(
             path=None,
+            measurements=SimpleNamespace(columns=tuple(self.readings[0].parameters)),
+            tolerances=(),
             light_yield=known,
             switched_on=[EFFECTS[name] for name in self.effects],
             effects=(),
