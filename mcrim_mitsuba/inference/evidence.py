@@ -266,8 +266,9 @@ def _drawn(
 
 def log_sum(logs: Array) -> Array:
     """Logarithm of the sum of exp(logs) over their first axis; scipy's takes many times as long."""
-    highest = logs.max(axis=0)
-    return np.asarray(highest + np.log(np.exp(logs - highest).sum(axis=0)))
+    highest = np.maximum(logs.max(axis=0), np.finfo(float).min)  # of none there is -inf
+    with np.errstate(divide="ignore"):
+        return np.asarray(highest + np.log(np.exp(logs - highest).sum(axis=0)))
 
 
 def _log_student(n: float, away: Array, factor: Array) -> Array:
