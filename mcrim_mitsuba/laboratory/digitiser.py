@@ -107,7 +107,8 @@ def _of_instrument(path: Path) -> ChannelSpectrum:
     live_time_s, real_time_s = float(spectra[0].liveTime()), float(spectra[0].realTime())
     said = live_time_s > 0 or real_time_s > 0
     comments, channels = (str(spectra[0].title()),), np.arange(float(len(counts)))
-    whole, live = _whole(path, counts), _checked_time(path, live_time_s) if said else None
+    whole = _whole(path, counts)
+    live = _checked_time(path, live_time_s) if said else None
     return ChannelSpectrum(path, comments, channels, whole, live_time_s=live)
 
 

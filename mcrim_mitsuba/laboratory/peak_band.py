@@ -313,10 +313,8 @@ def width_parts(peak: Peak, source: str, rms: float, rms_sigma: float) -> WidthP
     rest = total - 1.0 / n - rms**2
     # the centroid is in the whole and in the counting
     sigma = math.hypot(by_width, by_centroid - of_count, of_place)
-    whole, counting = (
-        width_of(total, math.hypot(by_width, by_centroid)),
-        width_of(1.0 / n, of_count),
-    )
+    whole = width_of(total, math.hypot(by_width, by_centroid))
+    counting = width_of(1.0 / n, of_count)
     place, left = Width(FWHM * rms, FWHM * rms_sigma), width_of(max(rest, 0.0), sigma)
     return WidthParts(source, whole, counting, place, rest=left, excess=max(-rest, 0.0) / sigma)
 

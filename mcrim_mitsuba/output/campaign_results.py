@@ -183,12 +183,8 @@ class RepairResult(FittedResult, Diagnosis):
     effects: tuple[str, ...]
     #: Of the mended campaign, its effects simulated together where the fit ends.
     calibration: Calibration
-    #: Those of `calibration`, and its readings beside predictions.
+    #: Those of `calibration`.
     parameters: Mapping[str, ParameterEstimate]
-    chi2: float
-    ndf: int
-    p_value: float | None
-    rows: tuple[FittedRow, ...]
     #: What was written; None where nothing was added.
     campaign_path: Path | None
     scene_path: Path | None
@@ -199,8 +195,7 @@ class RepairResult(FittedResult, Diagnosis):
     def of_repair(cls, repaired: Repaired, campaign: Campaign, **further: Any) -> Self:
         """The result of a repair; `further` are fields of a subclass, and such as differ."""
         names = "effects campaign_path scene_path undetermined calibration=fit provenance "
-        of_fit = "".join(f" {n}=fit.{n}" for n in "parameters chi2 ndf p_value rows notes".split())
-        fields = attributes(repaired, names + of_fit)
+        fields = attributes(repaired, names + "parameters=fit.parameters notes=fit.notes")
         return cls.of(repaired.diagnosis, campaign, **fields | further)
 
     @property
@@ -212,6 +207,26 @@ class RepairResult(FittedResult, Diagnosis):
     def added(self) -> str:
         """The effects that were added, in words."""
         return sentences.in_words(self, self.effects) if self.effects else ""
+
+    @property
+    def chi2(self) -> float:
+        """Of the fit of the mended campaign."""
+        return self.calibration.chi2
+
+    @property
+    def ndf(self) -> int:
+        """Of the fit of the mended campaign."""
+        return self.calibration.ndf
+
+    @property
+    def p_value(self) -> float | None:
+        """Of the fit of the mended campaign."""
+        return self.calibration.p_value
+
+    @property
+    def rows(self) -> tuple[FittedRow, ...]:
+        """Readings beside the predictions of the mended campaign."""
+        return self.calibration.rows
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

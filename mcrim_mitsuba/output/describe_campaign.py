@@ -404,8 +404,8 @@ def _yield_with(candidate: Candidate) -> Cell:
     if not light:
         return Cell("")
     change = light.get("change")
-    in_percent = "" if change is None else f" ({100 * change:+.1f} %)"
-    in_brackets = " (0 %)" if in_percent[3:] == "0.0 %)" else in_percent
+    in_brackets = "" if change is None else f" ({100 * change:+.1f} %)"
+    in_brackets = in_brackets.replace("+0.0 %", "0 %").replace("-0.0 %", "0 %")
     return Cell(number(light["value"]) + in_brackets, light["value"], light.get("sigma"))
 
 

@@ -349,8 +349,8 @@ class SceneEditor(SceneParts):
         if path != self.scene.path:
             # the comments above <scene>, and what is in it
             span, place = spans[root], head.end() if head else 0
-            above, content = text[place : span.start], text[span.inside : span.close].rstrip()
-            above = above.rstrip()
+            above = text[place : span.start].rstrip()
+            content = text[span.inside : span.close].rstrip()
             yield _Piece(path, text, place, place + len(above))
             place, end = span.inside, span.inside + len(content)
             if not above:

@@ -556,7 +556,8 @@ class _Assembly:
 
     def refuse_leftovers(self) -> None:
         """Refuse what was found wrong, and overrides of what is not there, or changes nothing."""
-        for first in self.slips[:1]:
+        if self.slips:
+            first = self.slips[0]
             # the same at many places is told once, at the first
             slips = {slip.problem: slip for slip in self.slips[::-1]}.values()
             first.others = tuple(slip for slip in slips if slip is not first)[::-1]
