@@ -412,7 +412,7 @@ class PredictionPoint:
         effects: Collection[str] | None = None,
     ) -> None:
         self.values = values
-        self._model, self._anchor, self._responses = model, model.anchor, model.responses
+        self._model = model
         self._fine = model.point(values)
         self._coarse = self._fine.on(model.responses.coarser)
         # each with its parameters' values
@@ -422,7 +422,7 @@ class PredictionPoint:
             if effects is None or name in effects
         }
         # (3, readings) with slopes by alpha_scat and alpha_abs
-        all_of_it = self._fine.value_and_slopes(self._responses.log_eta)
+        all_of_it = self._fine.value_and_slopes(model.responses.log_eta)
         #: (readings, free) d log_eta / d parameter; of one that changes no light they are 0.
         self.slopes = np.zeros((len(model.readings), len(model.free)))
         for response, own in self._switched_on.values():
@@ -442,16 +442,16 @@ class PredictionPoint:
     @property
     def _added(self) -> list[tuple[EffectResponse, list[float]]]:
         """Responses that no joint simulation has in it."""
-        joint = frozenset[str]() if self._anchor is None else self._anchor.effects
+        joint = frozenset[str]() if self._model.anchor is None else self._model.anchor.effects
         return [known for name, known in self._switched_on.items() if name not in joint]
 
     @cached_property
     def deviations(self) -> Array:
         """(batches, readings) deviations of log(eta)."""
-        if self._anchor is None:
-            deviations = self._fine.values(self._responses.deviations)
+        if self._model.anchor is None:
+            deviations = self._fine.values(self._model.responses.deviations)
         else:
-            deviations = self._anchor.deviations
+            deviations = self._model.anchor.deviations
         for response, own in self._added:
             deviations = deviations + response.deviations_at(self._coarse, own)
         return deviations
