@@ -179,7 +179,12 @@ def test_a_loaded_scenes_emitter_gives_rays_from_the_crystal(mi, load):
     sky = {"sky": {"type": "constant"}, "light": other.emitters()[0]}
     faces = {shape.id(): shape for shape in other.shapes()}
     both = mi.load_dict({"type": "scene", **sky, **faces}, optimize=False)
+    # beside one of another scene that lives on and cannot be lit: it is asked too then
+    wide_beam = load("spectrophotometer.xml", beam_diameter_mm=10.5)
+    with pytest.raises(InputError, match=r"the beam is 10\.5 mm wide"):
+        sampled(mi, wide_beam.emitters()[0])
     ray, _ = sampled(mi, both)
+    assert np.isfinite(np.array(ray.d)).all()
     inside = dr.all(dr.abs(ray.o - mi.Point3f(0, 0, 5)) <= 5.0)
     assert 0.45 < np.mean(np.array(inside)) < 0.56
 

@@ -185,11 +185,22 @@ class ScintillationEmitter(mi.Emitter):
         """A photon's birth as a ray; its weight is 1 whatever the wavelength.
 
         `sample1` gives the third coordinate that `sample2` lacks: light is monochromatic here.
+
+        Raises
+        ------
+        InputError
+            The crystal cannot be lit so. Where Dr.Jit records calls it asks every living emitter,
+            those of other scenes too: there such an emitter's rays are not a number.
         """
         # This thread may be recording a call to the emitter, and can read nothing from shapes then.
         # The crystal is kept while its rays are used; of its shapes none holds this emitter.
-        with ThreadPoolExecutor(1) as apart:
-            self._crystal = apart.submit(self._among_all_shapes).result()
+        try:
+            with ThreadPoolExecutor(1) as apart:
+                self._crystal = apart.submit(self._among_all_shapes).result()
+        except InputError:
+            if not dr.flag(dr.JitFlag.SymbolicScope):
+                raise
+            return dr.full(mi.Ray3f, math.nan), mi.Spectrum(math.nan)
         ray = dr.zeros(mi.Ray3f)
         ray.o = self._crystal.born_from(mi.Float(sample1), sample2.x, sample2.y)
         ray.d = mi.warp.square_to_uniform_sphere(sample3)
