@@ -397,5 +397,5 @@ def _notes_of_likeness(model: Model, prediction: Prediction) -> Iterator[str]:
             values = (short_text(where.get(columns[0])) for where in (of, of_other))
             yield (
                 f"{columns[0]} {' and '.join(values)} change nothing here: the model predicts the "
-                f"same of {first.label} and {second.label}, to 1e-4"
+                f"same of {first.label} and {second.label}, to 1 in {1.0 / FIT_NOTES.alike:.0f}"
             )

@@ -544,8 +544,8 @@ def figure_of_check(checked: CheckResult) -> Figure:
     from mcrim_mitsuba.transport.check import interfaces_of
     from mcrim_mitsuba.transport.simulation import Simulation
 
-    fault, run = next(iter(checked.problems), None), checked.run
-    words = set(re.findall(r"\w+", fault.text if fault else ""))
+    faults, run = checked.problems, checked.run
+    words = {word for fault in faults for word in re.findall(r"\w+", fault.text)}
     named = checked.parameters.keys() & words - checked.overrides.keys()
     right = {name: value for name, value in checked.overrides.items() if name not in words}
     for overrides in (checked.overrides, {**right, **dict.fromkeys(named, 1.0)}):
@@ -554,12 +554,13 @@ def figure_of_check(checked: CheckResult) -> Figure:
                 checked.scene, overrides, variant=run.variant, threads=run.threads, check=False
             )
             faces = interfaces_of(simulation.file, simulation.model)
-            return cross_section_figure(simulation, faces, fault=fault)
-    assert fault is not None  # what is sound can be assembled
-    lines = textwrap.wrap(visible(str(fault)), 100)
-    if fault.line is not None and fault.path is not None:
-        text = Path(fault.path).read_text(encoding="utf-8", errors="replace").splitlines()
-        lines += ["", f"{fault.line:5}  {visible(text[fault.line - 1])[:90]}"]
+            return cross_section_figure(simulation, faces, faults=faults)
+    lines = []
+    for fault in faults:  # of which there are some: what is sound can be assembled
+        lines += ["", *textwrap.wrap(visible(str(fault)), 100)]
+        if fault.line is not None and fault.path is not None:
+            text = Path(fault.path).read_text(encoding="utf-8", errors="replace").splitlines()
+            lines.append(f"{fault.line:5}  {visible(text[fault.line - 1])[:90]}")
     figure = Figure(figsize=(_WIDTH_IN, 0.4 + 0.26 * len(lines)), dpi=_DPI)
     FigureCanvasAgg(figure)
     look: dict[str, Any] = {"color": _FAULT, "size": 11, "family": "monospace", "va": "center"}
@@ -590,14 +591,14 @@ def cross_section_figure(
     interfaces: tuple[Interface, ...],
     *,
     brief: bool = False,
-    fault: SceneProblem | None = None,
+    faults: Sequence[SceneProblem] = (),
 ) -> Figure:
     """A loaded scene to scale in the vertical plane through the middle of its crystal.
 
     A second panel enlarges the thinnest layer at the crystal's lower edge, where there is one. Both
     show a few photons' paths, projected on the plane; the same scene gives the same ones. A crystal
     that lies is cut across its axis as well. If `brief`, it is for a narrow column, without paths,
-    second panel and heading. What a `fault` is about is red; no light goes through such a scene.
+    second panel and heading. What `faults` are about is red; no light goes through such a scene.
     `interfaces` come from `transport.check.interfaces_of`: they know the indices.
     """
     crystal, file, model = simulation.crystal, simulation.file, simulation.model
@@ -617,16 +618,16 @@ def cross_section_figure(
     if times > 1.3 and not brief:  # else the second panel would show hardly more
         below_in += _DETAIL_IN + 0.9
         reach = closer_half * np.array([inner_in / _DETAIL_IN, 1.0])
-        frame = np.array([closer_x, closer_z]) + np.multiply.outer([-1, 1], reach)
-    faulty = _faulty_surfaces(model, interfaces, fault) if fault else set()
-    paths, shares = ((), {}) if brief or fault else chosen_paths(simulation, frame)
+        frame = np.array([closer_x, closer_z]) + [-reach, reach]
+    faulty = set().union(*(_faulty_surfaces(model, interfaces, fault) for fault in faults))
+    paths, shares = ((), {}) if brief or faults else chosen_paths(simulation, frame)
     handles = _handles(paths, shares)
-    lines = -(-len(handles) // _PER_ROW) + len(str(fault or "")) // 110
+    words = "\n".join(textwrap.fill(visible(str(fault)), 130) for fault in faults)
+    lines = -(-len(handles) // _PER_ROW) + words.count("\n")
     height_in = below_in + main_in + above_in + 0.22 * lines
-    figure = Figure(figsize=(width_in, height_in), dpi=_DPI)
-    FigureCanvasAgg(figure)  # which measures texts
+    figure = FigureCanvasAgg(Figure((width_in, height_in), _DPI)).figure  # which measures texts
     if not brief:
-        _write_above(figure, file, handles if paths else (), fault)
+        _write_above(figure, file, handles if paths else (), words)
 
     def panel(
         cut: CrossSection, bottom_in: float, tall_in: float, x: float, z: float, half: float
@@ -675,9 +676,7 @@ def _plane(cut: CrossSection, model: SceneModel) -> str:
     return f"{plane}; the black mask does not reach it" if missed else plane
 
 
-def _write_above(
-    figure: Figure, file: SceneFile, handles: Sequence[Line2D], fault: SceneProblem | None
-) -> None:
+def _write_above(figure: Figure, file: SceneFile, handles: Sequence[Line2D], faults: str) -> None:
     """The scene's name with its parameters, and the legend of the paths or what is wrong."""
     height_in = figure.get_figheight()
     title, shown = heading(file.path.name, file.overrides, file.parameters, "=", 150, 3)
@@ -685,9 +684,8 @@ def _write_above(
     style["parse_math"] = False
     figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
     figure.text(0.5, 1 - 0.55 / height_in, shown, size=9.5, **style)
-    if fault is not None:
-        words = textwrap.fill(visible(str(fault)), 130)
-        figure.text(0.5, 1 - 1.15 / height_in, words, size=11, **style | {"color": _FAULT})
+    if faults:
+        figure.text(0.5, 1 - 1.15 / height_in, faults, size=11, **style | {"color": _FAULT})
     if handles:
         look: dict[str, Any] = {"fontsize": 9.5, "title": _TITLE, "title_fontsize": 9.5}
         look |= {"frameon": False, "handlelength": 2.6, "columnspacing": 1.4, "borderaxespad": 0.0}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -124,8 +123,7 @@ def _rows(diagnosis: Diagnosis) -> list[list[_Row]]:
 
     def title(causes: Sequence[str]) -> str:
         titles = (diagnosis.titles.get(cause, NO_EFFECTS.get(cause, cause)) for cause in causes)
-        # two lines at most for each
-        lines = (textwrap.fill(style.shortened(t, 2 * _LETTERS), _LETTERS) for t in titles)
+        lines = (style.in_lines(t, _LETTERS, 2) for t in titles)
         return capital("\n+ ".join(lines))
 
     def row(candidate: Candidate) -> _Row:
@@ -327,7 +325,7 @@ def draw_next(diagnosis: Diagnosis) -> style.Drawing:
         (f"after: {words}", value, value * sigma, value * otherwise if otherwise else None)
         for words, sigma, otherwise in errors[:_MOST_PROPOSALS]
     ]
-    names = [textwrap.fill(style.shortened(name, 84), 28) for name, *_ in rows]
+    names = [style.in_lines(name, 28) for name, *_ in rows]
     figure = style.canvas(6.4, 1.2 + 0.6 * len(rows))
     axes = figure.subplots()
     axes.axvspan(value - averaged.sigma, value + averaged.sigma, color=style.PALE, lw=0)
@@ -368,7 +366,6 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
         step = stairs[0]
         words = f"nothing was added: χ² = {number(step.chi2)}, ndf {step.ndf}"
         return style.Drawing(style.sentence_instead(f"{words}, {p_equals(step.p_value)}"), *numbers)
-    names = [style.shortened(added_text(step), 36) for step in stairs]
     # a campaign without an absolute light yield has a scale
     light_or_scale = LIGHT_YIELD if any(LIGHT_YIELD in s.parameters for s in stairs) else SCALE
     count = 1 + any(light_or_scale in step.parameters for step in stairs)
@@ -383,12 +380,11 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
         # without errors where it is at a bound
         errors = [e.sigma if e and e.at_bound is None else 0.0 for e in estimates]
         _stairs(axes, stairs, heights, [estimate_text(e) if e else "" for e in estimates], errors)
-    # where names are wider than a step of a panel, its part of the figure less its margin
-    slanted = max(map(len, names)) * _STEP_PER_CHARACTER > (width / count - 0.8) / len(names)
-    look: dict[str, Any] = {"rotation": 0, "ha": "center", "fontsize": 10, "parse_math": False}
-    look |= {"rotation": 25, "ha": "right"} if slanted else {}
+    # as wide as a step of a panel, its part of the figure less its margin
+    letters = int((width / count - 0.8) / len(stairs) / _STEP_PER_CHARACTER)
+    names = [style.in_lines(added_text(step), letters, 4) for step in stairs]
     for axes in panels:
-        axes.set_xticks(range(len(names)), names, rotation_mode="anchor", **look)
+        axes.set_xticks(range(len(names)), names, fontsize=10, parse_math=False)
         axes.set_xlim(-0.5, len(names) - 0.5)
     return style.Drawing(figure, *numbers)
 

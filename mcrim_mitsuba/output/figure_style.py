@@ -144,6 +144,11 @@ def shortened(name: str, most: int = 34) -> str:
     return f"{name[:head].rstrip()}…{name[-tail:].lstrip()}"
 
 
+def in_lines(name: str, letters: int = 34, lines: int = 3) -> str:
+    """A name in about so many lines of so many letters."""
+    return textwrap.fill(shortened(name, lines * letters), letters)
+
+
 def shortened_apart(names: Sequence[str], most: int = 34) -> list[str]:
     """Names of at most so many characters, no two alike: without shared words, or numbered."""
     words = [visible(name).split() for name in names]

@@ -93,7 +93,7 @@ def draw_arrival(lights: Lights) -> style.Drawing:
         angular = figure.add_subplot(grid[1, len(lights) :])
     _draw_maps(figure, maps, lights)
     for (name, light), colour, dashes in zip(lights, _COLOURS, _LINES, strict=False):
-        look: dict[str, Any] = {"color": colour, "ls": dashes, "label": style.shortened(name, 30)}
+        look: dict[str, Any] = {"color": colour, "ls": dashes, "label": style.in_lines(name)}
         for axes, edges, binned in (
             (radial, light.radius_edges_mm, light.radius),
             (angular, light.angle_edges_deg, light.angle),
@@ -128,7 +128,7 @@ def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
             axes.add_patch(Circle((x, y), radius, fill=False, ls=_MASK_DASHES, **_OVER_MAP))
         limits = {"xlim": light.x_edges_mm[[0, -1]], "ylim": light.y_edges_mm[[0, -1]]}
         axes.set(aspect="equal", xlabel="x on the detector (mm)", **limits)
-        title = f"{style.shortened(name, 30)}\nη = {pdg(light.eta, light.eta_sigma)}"
+        title = f"{style.in_lines(name)}\nη = {pdg(light.eta, light.eta_sigma)}"
         axes.set_title(title, fontsize=11, parse_math=False)
     all_axes[0].set_ylabel("y on the detector (mm)")
     for axes in all_axes[1:]:
@@ -361,7 +361,7 @@ def draw_fates(lights: Lights) -> style.Drawing:
     )
     for row, (_, light) in enumerate(lights):
         _draw_bar(axes, row, light, shown)
-    names = [f"{style.shortened(n, 30)}\nη = {pdg(x.eta, x.eta_sigma)}" for n, x in lights]
+    names = [f"{style.in_lines(n)}\nη = {pdg(x.eta, x.eta_sigma)}" for n, x in lights]
     style.rows_of_bars(axes, names, 0.72, parse_math=False)
     axes.set(xlim=(0, 100), xlabel="share of the emitted light (%)")
     axes.spines["left"].set_visible(False)

@@ -734,7 +734,7 @@ def test_masks_and_gaps_that_change_nothing_are_told(campaign):
     (told,) = (note for note in notes if "change nothing" in note)
     assert told == (
         "gap_mm 0.05 and 0.02 change nothing here: the model predicts the same of gel and gel 2, "
-        "to 1e-4"
+        "to 1 in 10000"
     )
 
 

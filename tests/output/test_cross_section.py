@@ -217,7 +217,7 @@ def test_what_is_wrong_with_a_scene_is_red(tmp_path, mcrim):
         (BENCH, {"n_gap": -1.0, "gap_mm": 0.07}, "no refractive index"),
         (
             BENCH.replace('"alpha_scat_per_cm" value="', '"alpha_scat_per_cm" value="-', 1),
-            {},
+            {"n_gap": -1.0},
             "negative",
         ),
         (BENCH.replace("</medium>", "</medum>", 1), {}, None),
@@ -228,6 +228,7 @@ def test_what_is_wrong_with_a_scene_is_red(tmp_path, mcrim):
         texts = "\n".join(text.get_text().replace("\n", " ") for text in figure.texts)
         assert not checked.ok and bool(figure.axes) == (drawn is not None)
         assert (drawn or "   63    </medum>") in texts
+        assert [p.text for p in checked.problems if p.text not in texts] == []  # all of them
         if drawn:
             assert "gap_mm" not in values or "gap_mm=0.07" in texts  # what is right is drawn
             assert "here" in [text.get_text() for text in figure.axes[0].texts]
