@@ -72,8 +72,8 @@ def with_cause(scene: SceneFile, cause: str, size: float) -> SceneFile:
     return scene.edited(add(cause, scene)).with_overrides({parameter.name: size})
 
 
-def bar_readings(cause: str, size: float, seed: int) -> str:
-    """The six readings by the independent tracer, with 5 % errors, as a measurement file."""
+def bar_readings(cause: str, size: float, seed: int, share: float) -> str:
+    """The six readings by the independent tracer with such errors, as a measurement file."""
     rng = np.random.default_rng(seed)
     alpha, etas = rng.uniform(0.2, 0.8), []
     values = {"alpha_scat_per_cm": rng.uniform(0.01, 0.08), "alpha_abs_per_cm": 0.0155}
@@ -89,8 +89,8 @@ def bar_readings(cause: str, size: float, seed: int) -> str:
     lines = [header]
     for row, eta in zip(rows, etas, strict=True):
         cells = row.split(",")
-        signal = eta / etas[0] * (1.0 + 0.05 * rng.standard_normal())
-        lines.append(",".join([cells[0], f"{signal:.4f}", f"{0.05 * signal:.4f}", *cells[3:]]))
+        signal = eta / etas[0] * (1.0 + share * rng.standard_normal())
+        lines.append(",".join([cells[0], f"{signal:.4f}", f"{share * signal:.4f}", *cells[3:]]))
     return "\n".join(lines) + "\n"
 
 
@@ -212,6 +212,7 @@ def main() -> None:
     parser.add_argument("--results", type=Path)
     parser.add_argument("--campaigns", type=int, default=30)
     parser.add_argument("--photons", type=int)
+    parser.add_argument("--error", type=float, default=0.05, help="of the bar's readings")
     options = parser.parse_args()
     of_bar = options.bench == "gagg"
     source, hidden = (GAGG, OF_BAR) if of_bar else (PIXEL, OF_PIXEL)
@@ -233,7 +234,7 @@ def main() -> None:
             if not readings.exists():
                 seed = 1000 * (number + 1)
                 text = (
-                    bar_readings(cause, size, seed)
+                    bar_readings(cause, size, seed, options.error)
                     if of_bar
                     else pixel_readings(cause, size, seed, kept)
                 )
