@@ -130,7 +130,6 @@ def weigh_one(kind: str, number: int, seed: int) -> dict:
     light = judge.light_yield
     seconds = time.perf_counter() - began
     true = LIGHT.per_scale * scale
-    log_density, crps = _scored(judge, math.log(scale / baseline.values["scale"]))
     names = [name for name in judge.probabilities if name not in ("none", "unknown", "others")]
     first = set(names[0].split(" + ")) if names else set()
     wanted = set(hidden) | {f"bad reading row{row + 1}" for row in spoiled}
@@ -140,8 +139,7 @@ def weigh_one(kind: str, number: int, seed: int) -> dict:
         "in_95": bool(light.lower_95 <= true <= light.upper_95),
         "half_68": 0.5 * (light.upper - light.lower) / true,
         "half_95": 0.5 * (light.upper_95 - light.lower_95) / true,
-        "log_density": log_density,
-        "crps": crps,
+        **scores(judge, math.log(scale / baseline.values["scale"])),
         # of several causes one may hide all others
         "first": bool(first) and first <= wanted if wanted and kind != "withheld" else None,
         "adequate": verdict.word == "adequate",
@@ -201,8 +199,11 @@ def _draw(kind: str, rng: np.random.Generator):
     return models_of(signal, prior), hidden, scale, spoiled
 
 
-def _scored(judge: Judgement, log_scale: float) -> tuple[float, float]:
-    """Log density, and continuous ranked probability score, of the distribution of ln(yield)."""
+def scores(judge: Judgement, log_scale: float) -> dict[str, float]:
+    """What the distribution of ln(yield) makes of the truth, which is over that of the fit.
+
+    Its log density there, its continuous ranked probability score, and its probability below.
+    """
     weighing = judge.weighing
     means = np.array([h.log_scale for h in weighing.hypotheses])
     sigmas = weighing.widening[0] * np.array([h.log_scale_sigma for h in weighing.hypotheses])
@@ -211,8 +212,11 @@ def _scored(judge: Judgement, log_scale: float) -> tuple[float, float]:
         *(f(log_scale, *means) + s * 9 * sigmas.max() for f, s in ((min, -1), (max, 1))), 4001
     )
     below = ndtr((at[:, None] - means) / sigmas) @ weighing.shares
-    crps = float(np.trapezoid((below - (at >= log_scale)) ** 2, at))
-    return float(np.log(weighing.shares @ densities + 1e-300)), crps
+    return {
+        "log_density": float(np.log(weighing.shares @ densities + 1e-300)),
+        "crps": float(np.trapezoid((below - (at >= log_scale)) ** 2, at)),
+        "below": float(ndtr((log_scale - means) / sigmas) @ weighing.shares),
+    }
 
 
 def _closed_against_full(full, closed) -> list[tuple[float, float]]:

@@ -1,0 +1,201 @@
+"""Is a diagnosis as sure of the light yield as it says, through a campaign's simulated responses?
+
+    python scripts/trials calibrated [CAMPAIGN] [--trials 200] [--json FILE]
+
+Simulation-based calibration (S. Talts et al., arXiv:1804.06788): causes, their sizes, coefficients
+and offsets are drawn from what a diagnosis takes for known before it sees a reading; readings
+follow by the campaign's own responses, with their errors, the simulation's and those of the bench's
+numbers. Where the truth lies in the diagnosis's distribution is then even from 0 to 1, and causes
+are there as often as their probability says. Scattering has no prior: it is drawn about that of the
+fit. Readings are wrong in no draw, though a diagnosis expects it of some.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import numpy as np
+from scipy.special import expit
+from scipy.stats import kstest
+from shared import fraction_error
+
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.inference.diagnose import judge
+from mcrim_mitsuba.inference.drivers import Minimum
+from mcrim_mitsuba.inference.explanations import Explanations
+from mcrim_mitsuba.inference.simulations import CampaignModels, CampaignSimulations
+from mcrim_mitsuba.inference.statistic import Statistic
+from mcrim_mitsuba.output.description import table
+from trials import formulas
+from trials.executor import Trial, Trials, executor_options
+from trials.truth import do_missing
+
+CAMPAIGN = Path(__file__).resolve().parents[2] / "scenes" / "camoo4_misfit.toml"
+#: Most causes at once, as of what a diagnosis weighs.
+MOST_CAUSES = 3
+#: Spread of ln(scattering) that is drawn.
+SPREAD = 0.3
+#: Parts of the distribution whose coverage is told.
+PARTS = (0.5, 0.68, 0.9, 0.95)
+#: Ends of the probabilities of causes that are told together.
+BINS = (0.0, 0.02, 0.1, 0.3, 0.7, 0.9, 1.0)
+_MOST_DRAWS = 300
+
+
+@click.command()
+@click.argument("campaign", type=click.Path(exists=True, path_type=Path), default=CAMPAIGN)
+@click.option("--trials", "number", default=200, show_default=True, type=options.Whole(1, 10_000))
+@click.option("--photons", type=options.Whole(1), help="Of a simulation; default: as `diagnose`.")
+@options.seed
+@options.json_output
+@executor_options
+def main(
+    campaign: Path,
+    number: int,
+    photons: int | None,
+    seed: int,
+    json_file: str | None,
+    executor,
+    log: str | None,
+) -> int:
+    """Are probabilities of causes and of the light yield those of draws from the prior?"""
+    screen = terminal.console(json_file)
+    wanted = [Trial("drawn", n) for n in range(number)]
+    code = [Path(__file__), Path(formulas.__file__)]
+    what = {"campaign": str(campaign), "photons": photons, "seed": seed}
+    trials = Trials("calibrated", what, wanted, code, executor)
+    arguments = {t: (str(campaign), photons, t.number, seed) for t in trials.missing}
+    ended = do_missing(screen, "calibrated", trials, weigh_one, arguments, log)
+    if ended is not None:
+        return ended
+    outcomes = [trials.results[trial] for trial in wanted]
+    terminal.write_json(json_file, {"trials": outcomes, "seed": seed})
+    _show(screen, outcomes)
+    return terminal.DONE
+
+
+def _show(screen: terminal.Screen, outcomes: Sequence[Mapping]) -> None:
+    """Coverage, distance from evenness, and how often causes are there."""
+    below = np.array([outcome["below"] for outcome in outcomes])
+    rows = []
+    for part in PARTS:
+        held = int((np.abs(below - 0.5) <= 0.5 * part).sum())
+        rate, error = held / len(below), fraction_error(held, len(below))
+        rows.append((f"{100 * part:.0f} %", f"{100 * rate:.0f} ± {100 * error:.0f} %"))
+    screen.show(table("the light yield", ("this part of its distribution", "holds it"), rows))
+    distance = kstest(below, "uniform")
+    screen.line(
+        f"Kolmogorov-Smirnov's distance from evenness {distance.statistic:.3f} "
+        f"(p = {distance.pvalue:.2g}; 5 of 100 times above {1.36 / math.sqrt(len(below)):.3f}), "
+        f"log density {statistics.mean(o['log_density'] for o in outcomes):.2f}, "
+        f"CRPS {100 * statistics.mean(o['crps'] for o in outcomes):.2f} %"
+    )
+    said = np.array([p for outcome in outcomes for p in outcome["said"].values()])
+    there = np.array([n in o["hidden"] for o in outcomes for n in o["said"]])
+    rows = []
+    for low, high in itertools.pairwise(BINS):
+        at = (said >= low) & ((said < high) | (high == BINS[-1]))
+        if at.any():
+            hits = int(there[at].sum())
+            error = fraction_error(hits, int(at.sum()))
+            rate = f"{100 * hits / at.sum():.1f} ± {100 * error:.1f} %"
+            cells = (
+                f"{100 * low:g} to {100 * high:g} %",
+                f"{at.sum()}",
+                f"{100 * said[at].mean():.1f} %",
+            )
+            rows.append((*cells, rate))
+    screen.show(table("causes", ("said", "causes", "mean of it", "there"), rows))
+
+
+@functools.cache
+def simulated(path: str, photons: int | None) -> tuple[CampaignModels, dict[str, Effect], Minimum]:
+    """What models of a campaign rest on, what may be missing, and its own fit."""
+    campaign = mcrim.read_campaign(path)
+    defaults = Run() if photons is None else Run(photons=photons)
+    simulations = CampaignSimulations(campaign, defaults)
+    simulations.simulate()
+    baseline = simulations.fit().minimum
+    possible = simulations.possible()
+    models = simulations.simulate(tuple(possible))
+    return models, {n: e for n, e in possible.items() if models.acts(n)}, baseline
+
+
+def weigh_one(path: str, photons: int | None, number: int, seed: int) -> dict:
+    """Draw a campaign from the prior, weigh all hypotheses, and score what is said of it."""
+    models, effects, baseline = simulated(path, photons)
+    explanations = Explanations(models.model, effects, baseline)
+    rng = np.random.default_rng([seed, number])
+    for _ in range(_MOST_DRAWS):
+        drawn = _draw(explanations, models, rng)
+        if drawn is not None:
+            break
+    else:
+        raise RuntimeError(f"draw {number}: no readings above nothing")
+    campaign, hidden, scale = drawn
+    judged = judge(replace(models, campaign=campaign).model, effects)
+    if judged.judgement is None:
+        raise RuntimeError(f"draw {number}: nothing to judge")
+    judgement, fitted = judged.judgement, judged.fit.minimum.values[SCALE]
+    return {
+        "hidden": list(hidden),
+        "chi2": judged.fit.minimum.chi2,
+        "verdict": judgement.verdict.word,
+        "said": {name: judgement.weighing.inclusion.get(name, 0.0) for name in effects},
+        **formulas.scores(judgement, math.log(scale / fitted)),
+    }
+
+
+def _draw(
+    explanations: Explanations, models: CampaignModels, rng: np.random.Generator
+) -> tuple[Campaign, tuple[str, ...], float] | None:
+    """A campaign with readings as drawn, its causes and its scale; None where it will not do."""
+    hidden = tuple(
+        name for name in explanations.effects if rng.random() < expit(explanations.log_odds([name]))
+    )
+    if len(hidden) > MOST_CAUSES or not explanations.possible(hidden):
+        return None
+    statistic, values = explanations.statistic(hidden), explanations.baseline.values
+    known = explanations.priors(hidden)
+    of_effects = {p.name for name in hidden for p in explanations.effects[name].parameters}
+    for parameter in statistic.free:
+        if parameter.prior is not None or parameter.name in of_effects:
+            drawn = known[parameter.name].value(rng.standard_normal(1))[0]
+            values[parameter.name] = float(np.clip(drawn, parameter.minimum, parameter.maximum))
+    values[ALPHA_SCAT] *= math.exp(SPREAD * rng.standard_normal())
+    theta = np.clip(statistic.theta(values), *statistic.bounds)
+    signal = statistic.model.predict(theta).signal
+    if not np.all(signal > 0.0):
+        return None
+    plain = _with_signals(models.campaign, signal)
+    of_these = Statistic(replace(models, campaign=plain).model(hidden))
+    errors = np.linalg.cholesky(of_these.errors_at(theta).total)
+    signal = signal.copy()
+    signal[of_these.used] += errors @ rng.standard_normal(len(errors))
+    if not np.all(signal > 0.0):
+        return None
+    return _with_signals(plain, signal), hidden, values[SCALE]
+
+
+def _with_signals(campaign: Campaign, signal: Array) -> Campaign:
+    """The campaign with other readings, whose relative errors are those of the old ones."""
+    rows = campaign.measurements.readings
+    readings = [
+        replace(row, signal=float(light), sigma=row.sigma / row.signal * float(light))
+        for row, light in zip(rows, signal, strict=True)
+    ]
+    return replace(campaign, measurements=campaign.measurements.with_readings(readings))
