@@ -618,7 +618,7 @@ def cross_section_figure(
     if times > 1.3 and not brief:  # else the second panel would show hardly more
         below_in += _DETAIL_IN + 0.9
         reach = closer_half * np.array([inner_in / _DETAIL_IN, 1.0])
-        frame = np.array([closer_x, closer_z]) + [-reach, reach]
+        frame = np.array([closer_x, closer_z]) + np.multiply.outer([-1, 1], reach)
     faulty = set().union(*(_faulty_surfaces(model, interfaces, fault) for fault in faults))
     paths, shares = ((), {}) if brief or faults else chosen_paths(simulation, frame)
     handles = _handles(paths, shares)

@@ -6,14 +6,21 @@ A loaded Mitsuba scene keeps only the ratio of the two indices of a face, so the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from lxml import etree
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.numbers import ALL_DETECTORS, COUNTED, LARGEST_INDEX, judge, parse_number
+from mcrim_mitsuba.core.numbers import (
+    ALL_DETECTORS,
+    COUNTED,
+    LARGEST_INDEX,
+    Value,
+    judge,
+    parse_number,
+)
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.xml_tree import Node, misled, misspelt, three_numbers
 
@@ -149,13 +156,14 @@ def indices_of(file: SceneFile, shape: Node) -> tuple[float, float] | None:
 
 def problems_of_text(file: SceneFile) -> list[SceneProblem]:
     """Problems seen without loading; InputError if an index or an axis is no number."""
+    parameters = _problems_of_parameters(file)
     if words := _problems_of_words(file):  # what they were to say would be found missing
-        return [*words, *_problems_of_parameters(file)]
+        return [*words, *parameters.values()]
     return [
-        *_problems_of_parameters(file),
+        *parameters.values(),
         *problems_of_counted(file),
         *_problems_of_rotations(file),
-        *_problems_of_faces(file),
+        *_problems_of_faces(file, {file.parameters[name] for name in parameters}),
     ]
 
 
@@ -175,8 +183,9 @@ def _problems_of_words(file: SceneFile) -> list[SceneProblem]:
     ]
 
 
-def _problems_of_parameters(file: SceneFile) -> Iterator[SceneProblem]:
+def _problems_of_parameters(file: SceneFile) -> dict[str, SceneProblem]:
     """Scene parameters that are negative, out of range or look like another unit."""
+    problems = {}
     for name, value in file.parameters.items():
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if is_number and (wrong := judge(name, float(value))) is not None:
@@ -185,7 +194,8 @@ def _problems_of_parameters(file: SceneFile) -> Iterator[SceneProblem]:
             place: tuple[Path, int | None] = default.path, default.line
             if name in file.overrides:
                 what, place = f"the value given for {name} is {value:g}", (file.path, None)
-            yield SceneProblem(kind, f"{what}: {text}", mend, *place)
+            problems[name] = SceneProblem(kind, f"{what}: {text}", mend, *place)
+    return problems
 
 
 def detectors_of(file: SceneFile) -> list[str]:
@@ -222,14 +232,17 @@ def _problems_of_rotations(file: SceneFile) -> Iterator[SceneProblem]:
             yield SceneProblem("value", text, mend, *file.place_of(element))
 
 
-def _problems_of_faces(file: SceneFile) -> list[SceneProblem]:
-    """Faces whose optical surface is missing, half written or out of range."""
+def _problems_of_faces(file: SceneFile, told: Collection[Value]) -> list[SceneProblem]:
+    """Faces whose optical surface is missing, half written or out of range.
+
+    What a parameter put there that is wrong, and has been told, is not told again.
+    """
     problems: list[SceneProblem] = []
     for shape in file.parts.shapes:
         name = shape.get("id")
         if name and file.parts.bsdf(shape) is not None:
             if (element := _dielectric_of(file, shape)) is not None:
-                problems += _problems_of_dielectric(file, element, name)
+                problems += _problems_of_dielectric(file, element, name, told)
             continue
         text, mend = "this shape has no id", 'give it one: <shape id="...">'
         if name:
@@ -240,7 +253,9 @@ def _problems_of_faces(file: SceneFile) -> list[SceneProblem]:
     return list(dict.fromkeys(problems))
 
 
-def _problems_of_dielectric(file: SceneFile, element: Node, shape: str) -> Iterator[SceneProblem]:
+def _problems_of_dielectric(
+    file: SceneFile, element: Node, shape: str, told: Collection[Value]
+) -> Iterator[SceneProblem]:
     """Indices of a dielectric that the scene does not write, or that no medium has."""
     who = f"bsdf {element.get('id')!r}" if element.get("id") else f"the bsdf of {shape}"
     if element.type == "roughdielectric" and element.named("alpha") is None:
@@ -268,7 +283,7 @@ def _problems_of_dielectric(file: SceneFile, element: Node, shape: str) -> Itera
             mend = f"write value=\"$n_crystal\" here and '{default}' at the top"
             raise InputError(problem, mend, path=path, line=line)
         value = parse_number(side, text, path=path, line=line)
-        if not 1.0 <= value <= LARGEST_INDEX:
+        if not 1.0 <= value <= LARGEST_INDEX and value not in told:
             text = f"{who} has {side} = {value:g}, which is no refractive index"
             mend = f"give a number from 1 to {LARGEST_INDEX:g}"
             yield SceneProblem("index", text, mend, path, line)

@@ -80,6 +80,17 @@ def test_broken_scene_is_refused_with_one_line(tmp_path, name):
         assert word in line, line
 
 
+def test_a_wrong_parameter_is_told_once_where_it_is_written(tmp_path):
+    """Three faces have its value: each was told as a fault of its own."""
+    path = tmp_path / "scene.xml"
+    path.write_text(BENCH)
+    (problem,) = check_scene(path, {"n_gap": -1.0}).problems
+    assert problem.text.startswith("the value given for n_gap is -1: this is no refractive index")
+    # another number is another fault
+    path.write_text(replaced('name="int_ior" value="$n_crystal"', 'name="int_ior" value="0.5"'))
+    assert len(check_scene(path, {"n_gap": -1.0}).problems) > 1
+
+
 def test_a_fault_of_an_included_file_is_told_there(tmp_path):
     folder = tmp_path / "with blanks"
     folder.mkdir()
