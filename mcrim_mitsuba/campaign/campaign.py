@@ -112,6 +112,8 @@ class Campaign:
     title: str = ""
     #: Unit of the signals of light; empty where the file does not say it.
     unit: str = ""
+    #: What its file wants to be repeated wherever it is fitted.
+    remark: str = ""
     #: Crystals among the readings besides the campaign's own.
     samples: dict[str, Sample] = field(default_factory=dict)
     #: How exactly the scene's numbers are known; what is not named is exact.
@@ -169,7 +171,7 @@ class Campaign:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the reader must know of scene, effects and raw data before using the numbers."""
-        notes = [*self.scene.notes, *self.executed]
+        notes = [*filter(None, [self.remark]), *self.scene.notes, *self.executed]
         typed = [self.light_yield, *self.measurements.readings]
         low = {e for of in typed if of and (e := of.energy_keV) and e < LEAST_USUAL_KEV}
         notes += [f"energy_keV = {e:g}: is it in MeV? Then write {1e3 * e:g}" for e in sorted(low)]
@@ -327,6 +329,7 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         spectrum=_read_spectrum(entries, campaign),
         title=_words(entries, "title") or document.path.stem,
         unit=_words(entries, "unit"),
+        remark=_words(entries, "remark", schema.LONGEST_REMARK),
         convention=choice(entries, schema.CONVENTION, schema.CAMPAIGN),
     )
     _refuse_contradictions(document, campaign)
@@ -483,7 +486,7 @@ def _averaged(light: EmittedLight) -> str:
     return words + (f"; {', '.join(indices)} stay at the scene's value" if indices else "")
 
 
-def _words(entries: TomlTable, name: str) -> str:
+def _words(entries: TomlTable, name: str, longest: int = schema.LONGEST_WORDS) -> str:
     """A short text; empty where it is not there."""
     if name not in entries:
         return ""
@@ -493,9 +496,9 @@ def _words(entries: TomlTable, name: str) -> str:
     words = visible(" ".join(given.split()))
     if not words:
         raise entries.refusal(name, f"{name} is empty", "write some words, or remove it")
-    if len(words) > schema.LONGEST_WORDS:
+    if len(words) > longest:
         problem = f"{name} has {len(words)} characters"
-        raise entries.refusal(name, problem, f"{schema.LONGEST_WORDS} are enough")
+        raise entries.refusal(name, problem, f"{longest} are enough")
     return words
 
 
@@ -563,10 +566,14 @@ def _wrong_next(name: str, values: Any, campaign: Campaign) -> tuple[str, str] |
     """What is wrong with the values of one scene parameter, and how to mend it."""
     scene, parameters = campaign.scene, campaign.parameters
     present = {**BEAM_PARAMETERS, **scene.parameters}
+    if name in campaign.measurements.switches:
+        mend = f"remove {name}: what is proposed has the parts of the first row"
+        return f"{name} is a column that switches a part of the scene", mend
     if name not in present:
+        numbers = [n for n, value in scene.parameters.items() if not isinstance(value, bool | str)]
         return (
             f"{name} is not a parameter of {scene.path.name}",
-            did_you_mean(name, [*scene.parameters, schema.NEXT_SIGMA, schema.NEXT_MINUTES]),
+            did_you_mean(name, [*numbers, COUNTED, schema.NEXT_SIGMA, schema.NEXT_MINUTES]),
         )
     if name == COUNTED and isinstance(values, list) and values:
         for value in values:

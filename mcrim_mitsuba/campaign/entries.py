@@ -61,6 +61,8 @@ SAME_AS = "same_as"
 
 #: Characters of a title or a unit, at most: they stand in one line of a figure.
 LONGEST_WORDS = 100
+#: The same of a remark.
+LONGEST_REMARK = 500
 
 _FILE: dict[str, Any] = {"type": "string", "minLength": 1}
 _VALUES = {"type": "array", "items": {"type": "number"}, "minItems": 1}
@@ -262,6 +264,10 @@ NEXT_ENTRIES: Entries = {
 CAMPAIGN: Entries = {
     "title": _words("What the campaign is called; figures carry it. The file's name unless given"),
     "unit": _words("Unit of the signals of light, such as photoelectrons per event"),
+    "remark": {
+        **_words("What every verb that fits repeats among its notes; repair writes one"),
+        "maxLength": LONGEST_REMARK,
+    },
     CONVENTION: {
         "enum": [ARTICLE],
         "description": "Conventions and physics of V. Alenkov et al., JINST 8 (2013) P06002",

@@ -31,8 +31,8 @@ CRYSTAL_INDEX = "crystal_index"
 DEPTH_MM = "source_depth_mm"
 INDEX = "n_crystal"
 _IN_THE_MODEL = "it is in the model"
-#: On a bar of LYSO in Teflon it changes eta by 0.3 % dry, and by less than 0.1 % with grease.
-_UNPOLARISED = "what a wrapping reflects is unpolarised"
+#: Light of a bare crystal is another matter, of which a campaign with a wrapping may have rows.
+_UNPOLARISED = "beside a wrapping it is left out: a LYSO bar's eta moves by 0.3 % dry in Teflon"
 
 
 def material_of(campaign: Campaign) -> str | None:

@@ -214,8 +214,8 @@ def too_far(campaign: Campaign, band: BandIndices) -> str | None:
     farthest = max(abs(mean - nominal) + 2 * band.over.sigma, *np.abs(band.indices - mean))
     if farthest <= effect.maximum:
         return None
-    material = band.material.name
-    return f"the scene's {INDEX} = {nominal:g} is too far from {mean:.4g}, that of {material}"
+    of_band = f"that of {band.material.name} over {band.origin}"
+    return f"the scene's {INDEX} = {nominal:g} is too far from {mean:.4g}, {of_band}"
 
 
 # ---- fits with pieces put in ----

@@ -17,7 +17,6 @@ from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep, diagnose
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
-from mcrim_mitsuba.inference.weighing import AveragedYield
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -82,8 +81,8 @@ def repair(
     campaign_path = scene_path = None
     if effects and output is not None:
         campaign_path = Path(output)
-        averaged = diagnosis.light_yield_averaged
-        scene_path = write_mended(simulations.campaign, fit, campaign_path, averaged)
+        remark = remark_of(diagnosis, effects)
+        scene_path = write_mended(simulations.campaign, fit, campaign_path, remark)
     return Repaired(
         diagnosis=diagnosis,
         effects=effects,
@@ -96,15 +95,13 @@ def repair(
     )
 
 
-def write_mended(
-    campaign: Campaign, fit: Calibration, target: Path, averaged: AveragedYield | None
-) -> Path:
-    """Write scene and campaign; returns the scene's path."""
+def write_mended(campaign: Campaign, fit: Calibration, target: Path, remark: str = "") -> Path:
+    """Write scene and campaign with a remark; returns the scene's path."""
     scene_path = target.with_suffix(".xml")
     if scene_path.resolve() == campaign.scene.path.resolve():
         problem = f"the mended scene would replace {campaign.scene.path}"
         raise InputError(problem, "give -o another name", path=target)
-    scene, text = mended_files(campaign, fit, target, averaged)
+    scene, text = mended_files(campaign, fit, target, remark)
     # the campaign first: it tells that it was made here, if its scene is missing
     texts = {target: text, scene_path: text_for_folder(scene, target.parent)}
     refuse_to_replace(texts)
@@ -133,31 +130,41 @@ def mended_files(
     campaign: Campaign,
     fit: Calibration,
     target: Path,
-    averaged: AveragedYield | None = None,
+    remark: str = "",
 ) -> tuple[SceneFile, str]:
     """The mended scene and the text of the mended campaign; nothing is written.
 
     The fit is of the campaign with more effects switched on, and its values are put into both, to
-    six digits. The campaign is meant to go to `target`, its scene beside it under the same name. A
-    comment tells the light yield `averaged` over all that the readings allow.
+    six digits. The campaign is meant to go to `target`, its scene beside it under the same name;
+    its `remark` is as of `remark_of`.
     """
     mended = fit.model.campaign
     fitted = rounded({name: estimate.value for name, estimate in fit.parameters.items()})
     effects = mended.effects[len(campaign.effects) :]
     starts = {name: fitted[name] for name in fit.names if name in fitted}
-    text = campaign_with_effects(mended, target, target.with_suffix(".xml"), starts)
-    return mended_scene(campaign, effects, fitted), _remark(effects, averaged) + text
+    scene = target.with_suffix(".xml")
+    text = campaign_with_effects(mended, target, scene, starts, remark=remark)
+    added = f"{_MENDED}{' and '.join(effects)} added.\n"
+    return mended_scene(campaign, effects, fitted), added + text
 
 
-def _remark(effects: Sequence[str], averaged: AveragedYield | None) -> str:
-    """Lines above a mended campaign: what was added, and that other models are possible."""
-    lines = [f"{' and '.join(effects)} added."]
-    if averaged is not None:
-        lines += [
-            f"Light yield averaged over all that the readings allow: {averaged}.",
-            "What a fit of this file gives holds for this one model.",
-        ]
-    return _MENDED + "# ".join(f"{line}\n" for line in lines)
+def remark_of(diagnosis: Diagnosis, effects: Sequence[str]) -> str:
+    """What every verb repeats of a campaign that was mended so: other models are possible."""
+    averaged, words = diagnosis.light_yield_averaged, []
+    if len(diagnosis.leading_sets) > 1:
+        words.append(f"the first of {len(diagnosis.leading_sets)} explanations that lead")
+    chance = diagnosis.probabilities.get(" + ".join(effects))
+    if chance is not None:
+        words.append(f"probability {chance:.0%}")
+    names = " and ".join(diagnosis.titles.get(name, name) for name in effects)
+    sentence = f"{names} {'were' if len(effects) > 1 else 'was'} added by repair"
+    sentence += f" ({', '.join(words)})" if words else ""
+    if averaged is None:
+        return f"{sentence}: what a fit of this file gives holds for this one model"
+    return (
+        f"{sentence}: what a fit of this file gives holds for this one model, and the light yield "
+        f"to quote is that over all that the readings allow, {averaged}"
+    )
 
 
 def mended_scene(

@@ -189,8 +189,12 @@ def _gaussian(medium: Material, wavelength_nm: float | None) -> tuple[Spectrum, 
     maximum = medium.emission_nm if wavelength_nm is None else wavelength_nm
     # of a maximum alone the catalogue does not tell how much of the light has which index
     if maximum is None or (wavelength_nm is None and medium.emission_fwhm_nm is None):
+        problem = f"nothing tells where {medium.name} emits"
         mend = "give its emission (--emission) or the maximum of its band (--wavelength-nm)"
-        raise InputError(f"nothing tells where {medium.name} emits", mend)
+        if maximum is not None:
+            problem = f"{medium.name} emits about {maximum:g} nm, but nothing tells over what width"
+            mend = f"give its emission (--emission), or --wavelength-nm {maximum:g} for {fwhm:g} nm"
+        raise InputError(problem, mend)
     nm = maximum + fwhm * np.linspace(-WIDTHS, WIDTHS, round(2 * WIDTHS * fwhm / _STEP_NM) + 1)
     values = np.exp(-4.0 * math.log(2.0) * ((nm - maximum) / fwhm) ** 2)
     return Spectrum(nm, values), f"an assumed Gaussian band about {maximum:g} nm, {fwhm:g} nm wide"

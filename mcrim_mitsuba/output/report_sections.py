@@ -27,7 +27,13 @@ from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.next_measurements import READING, NextMeasurement
 from mcrim_mitsuba.inference.profiles import Profile
-from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
+from mcrim_mitsuba.inference.repair import (
+    Repaired,
+    mended_files,
+    mended_scene,
+    remark_of,
+    scene_text,
+)
 from mcrim_mitsuba.output import photograph
 from mcrim_mitsuba.output.registry import encoded
 from mcrim_mitsuba.output.sentences import errors_apart, headline, leading_candidates
@@ -238,8 +244,8 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
     if not repaired.effects:
         return ()
     target = campaign.path.with_name(f"{campaign.path.stem}_mended.toml")
-    averaged = repaired.diagnosis.light_yield_averaged
-    scene, text = mended_files(campaign, repaired.fit, target, averaged)
+    remark = remark_of(repaired.diagnosis, repaired.effects)
+    scene, text = mended_files(campaign, repaired.fit, target, remark)
     old, name = campaign.scene, target.with_suffix(".xml").name
     before = read_bytes(campaign.path, _LIMIT_MB).decode("utf-8-sig", errors="replace")
     return (

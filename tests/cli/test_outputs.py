@@ -242,7 +242,7 @@ def test_what_was_killed_between_its_files_goes_on(here, scenes, files):
 
     def mend(target):
         refuse_others_work(target)
-        repair.write_mended(campaign, fitted, target, None)
+        repair.write_mended(campaign, fitted, target)
 
     def reduced(target):
         target = target.with_suffix(".toml")

@@ -171,6 +171,8 @@ def test_the_articles_band_is_assumed_and_said_so():
     assert "assumed" in band.origin and "540 nm" in band.origin
     with pytest.raises(InputError, match="nothing tells where CaWO4 emits"):
         indices_over_band("CaWO4")
+    with pytest.raises(InputError, match=r"BGO emits about 480 nm, .*; .* --wavelength-nm 480 for"):
+        indices_over_band("BGO")
 
 
 def test_contributions_add_up_to_the_fits_errors(found):
