@@ -175,7 +175,8 @@ def bench_of(simulation: Simulation) -> Bench:
 def _refuse_other_benches(simulation: Simulation) -> None:
     """Refuse a scene that is not the bench which its parameters describe.
 
-    The shipped scene, with effects as `add` puts them there, is what the parameters mean.
+    The shipped scene, with effects as `add` puts them there, is what the parameters mean. An
+    effect without a parameter is in none of them: what it does shows in the scene.
     """
     from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -183,7 +184,7 @@ def _refuse_other_benches(simulation: Simulation) -> None:
     name = "camoo4.xml"
     scene = read_scene(scene_path(name))
     for effect in catalogue().values():
-        if effect.is_in(simulation.file) and not effect.is_in(scene):
+        if effect.parameters and effect.is_in(simulation.file) and not effect.is_in(scene):
             scene = scene.edited(add(effect.name, scene))
     overrides = {key: value for key, value in parameters.items() if key in scene.parameters}
     meant = Simulation(scene, overrides, variant=simulation.variant, check=False)
@@ -196,6 +197,8 @@ def _refuse_other_benches(simulation: Simulation) -> None:
         path, line = file.place_of(next(file.root.iter("emitter")))
     elif where is None and simulation.polarization != meant.polarization:
         where = "its polarization"
+    elif where is None and simulation.integrator.max_depth != meant.integrator.max_depth:
+        where = "its max_depth"
     if where is not None:
         raise InputError(
             f"the solver without photons knows the bench of {name} only, and this scene differs "
