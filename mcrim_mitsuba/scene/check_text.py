@@ -5,11 +5,13 @@ A loaded Mitsuba scene keeps only the ratio of the two indices of a face, so the
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from lxml import etree
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
@@ -22,7 +24,7 @@ from mcrim_mitsuba.core.numbers import (
     parse_number,
 )
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.scene.xml_tree import Node, misled, misspelt, three_numbers
+from mcrim_mitsuba.scene.xml_tree import Node, misled, misspelt, three_numbers, transform_matrix
 
 #: Index of refraction above which a volume holds a liquid or a solid.
 FILLED_ABOVE = 1.0005
@@ -163,6 +165,7 @@ def problems_of_text(file: SceneFile) -> list[SceneProblem]:
         *parameters.values(),
         *problems_of_counted(file),
         *_problems_of_rotations(file),
+        *_problems_of_spheres(file),
         *_problems_of_faces(file, {file.parameters[name] for name in parameters}),
     ]
 
@@ -230,6 +233,21 @@ def _problems_of_rotations(file: SceneFile) -> Iterator[SceneProblem]:
             text = f"{what}: Mitsuba would distort the shape"
             mend = f"give it the length 1: {mended}"
             yield SceneProblem("value", text, mend, *file.place_of(element))
+
+
+def _problems_of_spheres(file: SceneFile) -> Iterator[SceneProblem]:
+    """Spheres that are stretched: Mitsuba knows balls alone, and would trace another shape."""
+    for shape in file.parts.shapes:
+        if shape.type != "sphere":
+            continue
+        with contextlib.suppress(ValueError):  # a step that is not known here
+            axes = transform_matrix(shape.named("to_world"))[:3, :3]
+            lengths = axes.T @ axes
+            size = float(np.trace(lengths)) / 3.0
+            if np.abs(lengths - size * np.eye(3)).max() > 1e-4 * size:
+                text = f"{shape.get('id') or 'this sphere'} is stretched by its transform"
+                mend = "scale x, y and z alike; an ellipsoid can be a mesh (ply)"
+                yield SceneProblem("value", text, mend, *file.place_of(shape))
 
 
 def _problems_of_faces(file: SceneFile, told: Collection[Value]) -> list[SceneProblem]:

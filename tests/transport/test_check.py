@@ -91,6 +91,25 @@ def test_a_wrong_parameter_is_told_once_where_it_is_written(tmp_path):
     assert len(check_scene(path, {"n_gap": -1.0}).problems) > 1
 
 
+def test_a_stretched_sphere_is_refused(tmp_path):
+    """It was called sound, and traced as another shape: eta 0.169 where 0.217 is right."""
+    path, radius = tmp_path / "scene.xml", '<float name="radius" value="5"/>'
+    for scale, sound in ("3, 3, 3", True), ("3, 4, 2", False):
+        turned = f'<scale value="{scale}"/><rotate x="1" angle="30"/><translate y="1"/>'
+        path.write_text(
+            replaced(
+                '<point name="center" x="1" y="-2" z="3"/>\n    ' + radius,
+                f'<transform name="to_world">{turned}</transform>',
+                BALL.read_text(),
+            )
+        )
+        report = check_scene(path, light=False)
+        assert report.ok == sound, report.problems
+        assert sound or "ball is stretched by its transform; scale x, y and z" in str(
+            report.problems[0]
+        )
+
+
 def test_a_fault_of_an_included_file_is_told_there(tmp_path):
     folder = tmp_path / "with blanks"
     folder.mkdir()
