@@ -12,7 +12,7 @@ from mcrim_mitsuba.campaign.calibration import CommonErrors, read_common_errors
 from mcrim_mitsuba.campaign.entries import SCALE, choice, number_within
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
-from mcrim_mitsuba.core.numbers import Value, parse_number, unit_of, value_text
+from mcrim_mitsuba.core.numbers import THIN, Value, judge, parse_number, unit_of, value_text
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.laboratory.light_yield import fired_cells
@@ -25,6 +25,10 @@ from mcrim_mitsuba.scene.scene_file import SceneFile
 PHOTOELECTRON_SCALE = "photoelectron scale"
 # Standard errors outside the bounds that chance may take a measured prior.
 _FARTHEST_PRIOR = 3.0
+#: The same of bounds that nobody gives, on both sides of a prior.
+_USUAL_SIGMAS = 5.0
+#: Part of a value below which an error is none.
+_ROUNDING = 1e-9
 #: How names of scattering coefficients begin.
 _SCATTERING = "alpha_scat"
 
@@ -137,7 +141,7 @@ def read_parameter(
     elif (known_range := ranges.get(name)) is not None:
         usual = known_range.minimum, known_range.maximum
     else:
-        usual = _usual_range(name, in_scene)
+        usual = _usual_range(name, in_scene, given)
     if usual is None:
         problem = f"no range of {name} is known"
         raise table.refusal("", problem, "give min and max, or fixed = true")
@@ -164,9 +168,15 @@ def _refuse_what_lies_outside(table: TomlTable, parameter: CampaignParameter) ->
     """Refuse bounds in the wrong order, and a prior or a start outside of them."""
     name, low, high = parameter.name, parameter.minimum, parameter.maximum
     start, prior = parameter.start, parameter.prior
+    for side, bound in (("min", low), ("max", high)):
+        if side in table and bound and (wrong := judge(name, bound)) is not None:
+            raise table.refusal(side, f"{side} = {bound:g} of {name}: {wrong[1]}", wrong[2])
     if low >= high:
         raise table.refusal("min", f"min = {low:g} is not below max = {high:g}", "give min < max")
     if prior is not None and parameter.prior_sigma is not None:
+        if parameter.prior_sigma < _ROUNDING * max(abs(prior), abs(start)):
+            problem = f"prior_sigma = {parameter.prior_sigma:g} of {name} is lost in rounding"
+            raise table.refusal("prior_sigma", problem, "write fixed = true to hold it")
         outside = max(low - prior, prior - high) / parameter.prior_sigma
         if outside > _FARTHEST_PRIOR:
             away = f"{prior:g} ± {parameter.prior_sigma:g}, is far outside {low:g}..{high:g}"
@@ -187,8 +197,14 @@ def _refuse_what_lies_outside(table: TomlTable, parameter: CampaignParameter) ->
         raise table.refusal("start", problem, "give a number above 0, or fit it")
 
 
-def _usual_range(name: str, in_scene: float | None) -> tuple[float, float] | None:
-    """Range of a free parameter for which the campaign gives none; None if nothing is known."""
+def _usual_range(
+    name: str, in_scene: float | None, given: Mapping[str, float]
+) -> tuple[float, float] | None:
+    """Range of a free parameter for which the campaign gives none; None if nothing is known.
+
+    A length that cannot vanish keeps near to its prior, or to the scene's: a bench that is none
+    cannot be simulated.
+    """
     if name == SCALE:
         return 0.0, math.inf
     if name.startswith(_SCATTERING) and unit_of(name) == "1/cm":
@@ -199,7 +215,14 @@ def _usual_range(name: str, in_scene: float | None) -> tuple[float, float] | Non
     if name.startswith("n_"):
         return 1.0, 3.0
     if unit_of(name) == "mm" and in_scene:
-        return 0.0, 10.0 * in_scene
+        if judge(name, 0.0) is None:
+            return 0.0, 10.0 * in_scene
+        if "prior" in given:
+            away = _USUAL_SIGMAS * given["prior_sigma"]
+            return max(given["prior"] - away, 0.1 * in_scene), given["prior"] + away
+        # how thick a film is nobody knows well
+        most = 10.0 if any(word in name for word in THIN) else 2.0
+        return in_scene / most, in_scene * most
     return None
 
 
@@ -334,6 +357,11 @@ def read_light_yield(
         with said_by(partial(table.refusal, "material")):
             crystal = material(str(table["material"])).name
     sigma = sigma or 0.0
+    if sigma > efficiency:
+        problem = (
+            f"detector_efficiency_sigma = {sigma:g} is more than the efficiency {efficiency:g}"
+        )
+        raise table.refusal("detector_efficiency_sigma", problem, "write both as parts of 1, not %")
     if shared := detector.shared_sigma:
         common = shared * efficiency
         if not own_scales:

@@ -29,8 +29,8 @@ from mcrim_mitsuba.inference.estimates import (
 )
 from mcrim_mitsuba.inference.model import Model, Prediction, held
 from mcrim_mitsuba.inference.profiles import Profile, profiles_of
-from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, FIT_NOTES, ONE_SIGMA
-from mcrim_mitsuba.inference.statistic import Statistic, undetermined
+from mcrim_mitsuba.inference.settings import FIT_NOTES, ONE_SIGMA
+from mcrim_mitsuba.inference.statistic import Statistic, is_misfit, undetermined
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -312,7 +312,7 @@ def _notes_of_disagreement(fit: Calibration, prediction: Prediction) -> Iterator
     """Whether the model describes the readings at all."""
     p, statistic = fit.p_value, fit.minimum.statistic
     # priors count as well as readings
-    if fit.chi2 > FIT_NOTES.largest_pull**2 if p is None else p < ACCEPTABLE_P:
+    if is_misfit(fit.chi2, p):
         pulls = [(row.label, row.pull) for row in fit.rows if row.use]
         priors = zip(fit.names, statistic.prior_pulls(fit.theta), strict=True)
         pulls += [

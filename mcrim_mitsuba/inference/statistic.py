@@ -29,12 +29,20 @@ from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.inference.model import Model, Prediction
-from mcrim_mitsuba.inference.settings import LINEAR
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, FIT_NOTES, LINEAR
 
 
 def p_value(chi2: float, ndf: int) -> float | None:
     """Probability of a larger chi2 if the model is right; None without degrees of freedom."""
     return float(chdtrc(ndf, chi2)) if ndf > 0 else None
+
+
+def is_misfit(chi2: float, p: float | None) -> bool:
+    """Whether a model does not describe its readings, by a p-value or, where there is none, chi2.
+
+    Priors and bounds may keep a fit without degrees of freedom from the readings.
+    """
+    return chi2 > FIT_NOTES.largest_pull**2 if p is None else p < ACCEPTABLE_P
 
 
 def undetermined(information: Array, names: Sequence[str]) -> list[str]:

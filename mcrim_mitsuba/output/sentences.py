@@ -39,6 +39,7 @@ from mcrim_mitsuba.inference.plan import (
 )
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P
+from mcrim_mitsuba.inference.statistic import is_misfit
 from mcrim_mitsuba.inference.weighing import OTHERS
 from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget, contribution
 
@@ -62,7 +63,7 @@ _NO_GAIN = 0.01
 
 def fails(fit: Comparison | Calibration) -> bool:
     """Whether the model does not describe the readings."""
-    return fit.p_value is not None and fit.p_value < ACCEPTABLE_P
+    return is_misfit(fit.chi2, fit.p_value)
 
 
 def estimate_text(estimate: ParameterEstimate) -> str:
@@ -411,14 +412,16 @@ def quality(comparison: Comparison | Calibration) -> str:
     # an exact fit's chi2 is rounding
     chi2, ndf = number(round(comparison.chi2, 6)), comparison.ndf
     if comparison.p_value is None:
-        return (
-            f"chi2 = {chi2} without degrees of freedom: the readings determine the parameters, "
-            "but say nothing about whether the model is right"
-        )
+        meaning = "the readings determine the parameters, but say nothing about whether it is right"
+        if fails(comparison):
+            meaning = (
+                "bounds or priors keep the model from the readings, which it does not describe"
+            )
+        return f"chi2 = {chi2} without degrees of freedom: {meaning}"
     spread = math.sqrt(2.0 * ndf)
     expected = f"{ndf} ± {spread:.1f} is expected (ndf = {ndf})"
     words = f"chi2 = {chi2} where {expected}, {p_equals(comparison.p_value)}: "
-    if comparison.p_value < ACCEPTABLE_P:
+    if fails(comparison):
         return words + "the model does not describe the readings"
     if comparison.p_value > 1.0 - ACCEPTABLE_P / 10:
         return words + "the readings agree better than their errors allow: are these too large?"

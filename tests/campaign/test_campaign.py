@@ -137,7 +137,8 @@ def test_fixed_scale_and_lengths(folder):
     read = campaign(folder, text)
     assert (read.free, read.ndf) == (("gap_mm",), 1)
     assert (read.scale.start, read.scale.maximum) == (1.0, math.inf)
-    assert read.parameters["gap_mm"].maximum == pytest.approx(0.5)
+    gap = read.parameters["gap_mm"]
+    assert (gap.minimum, gap.maximum) == (pytest.approx(0.005), pytest.approx(0.5))
     assert read.next_measurements == {
         "n_gap": [1.0, 1.46],
         "sigma_relative": 0.007,
