@@ -219,8 +219,9 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
     if not low <= value <= high:
         mend = f"give a number from {low:g} to {high:g}"
         return "value", f"it lies between {low:g} and {high:g}", mend
-    # offsets may be negative, and a source's depth may exceed the crystal
-    if name.endswith("_mm") and "offset" not in name and (wrong := _judge_length(name, value)):
+    # offsets and heights may be negative, and a source's depth may exceed the crystal
+    is_length = name.endswith("_mm") and not name.endswith("_z_mm") and "offset" not in name
+    if is_length and (wrong := _judge_length(name, value)):
         return wrong
     if name.endswith("_per_cm"):
         if value < 0:

@@ -475,7 +475,7 @@ class _Assembly:
             new = self.texts[name]
             minus = text.startswith("-", match.start() - 1) and match.start() > 0
             if minus and new.startswith(("-", "+")):
-                mend = f"give {name} a value of 0 or more, without a sign"
+                mend = f"give {name} a value above 0, without a sign"
                 if name in self.changed and new.startswith("-"):
                     problem = f"the value given for {name}, {new}, is negative"
                     raise InputError(problem, mend, path=self.path)

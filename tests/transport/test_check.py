@@ -91,6 +91,12 @@ def test_a_wrong_parameter_is_told_once_where_it_is_written(tmp_path):
     assert len(check_scene(path, {"n_gap": -1.0}).problems) > 1
 
 
+def test_a_height_may_be_anywhere():
+    """At the lower end of a crystal half of a slab is inside; 0 was no positive length."""
+    overrides = {"source_z_mm": 0.0, "source_width_mm": 5.0}
+    assert check_scene(SCENES / "luag_fibre.xml", overrides, light=False).ok
+
+
 def test_a_stretched_sphere_is_refused(tmp_path):
     """It was called sound, and traced as another shape: eta 0.169 where 0.217 is right."""
     path, radius = tmp_path / "scene.xml", '<float name="radius" value="5"/>'
