@@ -637,9 +637,15 @@ def step_text(step: RepairStep) -> str:
 
 def of_report(report: results.ReportResult) -> Description:
     """What a report says first; the page has the rest."""
-    headline, profiles = strong(report.sections.headline), report.sections.profiles
-    pieces = (headline, parameters_table(report.parameters, profiles), _shapes(profiles))
-    return described("report of a campaign", *pieces, **_spent(report))
+    profiles = report.sections.profiles
+    return described(
+        "report of a campaign",
+        strong(report.sections.headline),
+        strong(sentences.averaged_yield(report)),
+        parameters_table(report.parameters, profiles),
+        _shapes(profiles),
+        **_spent(report),
+    )
 
 
 # A part of an error, and what a model leaves out.

@@ -2,10 +2,12 @@
 
 import base64
 import hashlib
+import io
 import json
 import re
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -75,7 +77,9 @@ def made(tmp_path_factory, scenes, by_hand):
     with quick_report(by_hand) as patch:
         patch.setenv("MCRIM_CACHE", str(folder / "cache"))
         page, numbers = folder / "report.html", folder / "report.json"
-        assert main(["report", str(campaign), "-o", str(page), "--json", str(numbers)]) == 0
+        with redirect_stdout(io.StringIO()) as printed:
+            assert main(["report", str(campaign), "-o", str(page), "--json", str(numbers)]) == 0
+    page.with_suffix(".txt").write_text(printed.getvalue())
     return page, json.loads(numbers.read_text())
 
 
@@ -210,6 +214,10 @@ def test_first_comes_what_was_found(made, parsed):
     assert first.xpath(".//figure//img/@src")[0].startswith("data:image/png")
     without = first.xpath(".//*[@id='light-yield-without']")
     assert bool(without) == bool(made[1]["effects"])
+    # the terminal has the number to quote too, not that of one fit alone
+    to_quote = first.get_element_by_id("averaged-light-yield").text_content()
+    printed = " ".join(made[0].with_suffix(".txt").read_text().split())
+    assert to_quote.startswith("7.7\xa0±\xa00.9") and "Light yield: 7.7 ± 0.9 ph/keV" in printed
 
 
 def test_the_page_is_quiet_in_a_browser_and_prints_on_few_pages(made, browser):
