@@ -333,7 +333,7 @@ class Efficiency:
     """The light collection efficiency of one reading's configuration."""
 
     label: str
-    #: What differs from reading to reading.
+    #: What differs from reading to reading, by column.
     parameters: dict[str, Value]
     #: Fraction of the light that is detected; the error is that of the fit and of the simulation.
     eta: float
@@ -350,7 +350,9 @@ def efficiencies(fit: Calibration) -> tuple[Efficiency, ...]:
     for row, reading, variance in zip(fit.rows, model.readings, variances, strict=True):
         # rounding may leave a variance just below 0
         sigma = math.sqrt(max(variance, 0.0) + row.eta_sigma**2)
-        values.append(Efficiency(row.label, dict(reading.parameters), row.eta, sigma))
+        cells = model.campaign.cells(reading)
+        differing = {name: cell for name, cell in cells.items() if cell is not None}
+        values.append(Efficiency(row.label, differing, row.eta, sigma))
     return tuple(values)
 
 
