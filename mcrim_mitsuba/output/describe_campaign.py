@@ -265,6 +265,7 @@ def of_fit(fit: results.FitResult) -> Description:
         _origins(fit),
         strong(sentences.next_for_fit(fit, fit.model.campaign.priors)),
         fitted_readings(fit.rows),
+        sentences.which_eta(fit),
         f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {fit.provenance.photons:,} photons "
         f"in {len(fit.rows)} readings, seed {fit.provenance.seed}, {fit.seconds:.1f} s",
         notes=fit.notes,
@@ -769,6 +770,7 @@ def _totals(errors: Budget) -> Iterator[Piece]:
         cells += [_two_digits(total.corrected, total.corrected_sigma)] if corrected else []
         rows.append(cells)
     yield table("results, with all errors", [*columns, *["corrected"] * corrected], rows)
+    yield sentences.which_eta(errors.fit)
     if corrected:
         yield (
             "A correction is no error: make it in the scene or the campaign. The errors of "

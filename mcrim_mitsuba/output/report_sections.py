@@ -23,6 +23,8 @@ from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.effect import modules_of
 from mcrim_mitsuba.efficiency.lighting import Light, follow_light
+from mcrim_mitsuba.inference.budget import errors_of
+from mcrim_mitsuba.inference.corrections import fitted
 from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.next_measurements import READING, NextMeasurement
@@ -335,23 +337,19 @@ class Efficiency:
     label: str
     #: What differs from reading to reading, by column.
     parameters: dict[str, Value]
-    #: Fraction of the light that is detected; the error is that of the fit and of the simulation.
+    #: Fraction of the light that is detected, with the error of all origins.
     eta: float
     sigma: float
 
 
 def efficiencies(fit: Calibration) -> tuple[Efficiency, ...]:
-    """The efficiency of every reading, its error propagated from the fit."""
-    model = fit.model
-    slopes = model.predict(fit.theta).eta_slopes
-    # of each reading s V s, s its slopes and V the covariance of the parameters
-    variances = np.einsum("ri,ij,rj->r", slopes, fit.covariance, slopes)
-    values = []
-    for row, reading, variance in zip(fit.rows, model.readings, variances, strict=True):
-        # rounding may leave a variance just below 0
-        sigma = math.sqrt(max(variance, 0.0) + row.eta_sigma**2)
-        cells = model.campaign.cells(reading)
-        differing = {name: cell for name, cell in cells.items() if cell is not None}
+    """The efficiency of every reading, its error that of `budget`."""
+    campaign, values = fit.model.campaign, []
+    # parameters are before, and the ratio of two readings after those of readings
+    sigmas = errors_of(fit, fitted(fit))[len(fit.names) :][: len(fit.rows)].tolist()
+    for row, reading, sigma in zip(fit.rows, fit.model.readings, sigmas, strict=True):
+        cells = campaign.cells(reading).items()
+        differing = {name: cell for name, cell in cells if cell is not None}
         values.append(Efficiency(row.label, differing, row.eta, sigma))
     return tuple(values)
 

@@ -575,6 +575,16 @@ def what_next(budget: ErrorBudget, of: str) -> str:
     )
 
 
+def which_eta(fit: Calibration) -> str:
+    """Of which bench the efficiencies of a fit are; nothing where its numbers are as written."""
+    if not any(abs(n.offset) > _NOTHING * n.tolerance.sigma for n in fit.offsets):
+        return ""
+    return (
+        "eta is that of the bench whose numbers are off as the readings have them; simulate "
+        "takes them as the scene says, and gives another"
+    )
+
+
 def next_for_fit(fit: Calibration, priors: Iterable[str]) -> str:
     """What to measure next for a fit's light yield or scale; nothing where it has no error."""
     name = LIGHT_YIELD if LIGHT_YIELD in fit.parameters else SCALE
