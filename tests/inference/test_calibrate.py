@@ -335,6 +335,8 @@ def test_readings_stand_beside_the_bench_as_they_have_it(wide):
     *_, rows, line = numbers_of_bench(fit)
     assert "crystal width (mm)" in [row.cells[0].text for row in rows.rows]
     assert len(rows.rows) < len(fit.offsets) and "lengths 1 %" in line
+    # a foil's reflectance has another than a tape's, by a rule that the line has
+    assert "of these 0.5, 0.25, 0.1 where twice as much would pass an end" in line
 
 
 def test_an_efficiency_is_told_with_its_bench_and_one_error(wide):
