@@ -313,7 +313,7 @@ def render(sections: Sections) -> str:
         fit=sections.calibration,
         pictures=album_of(sections),
         efficiencies=efficiencies_csv(sections),
-        faces=records("", FACES[:-1], sections.bench.report.interfaces),
+        faces=records("", FACES, sections.bench.report.interfaces),
         steps=describe_campaign.steps_table(steps),
         meanings={n: sentences.parameter_words(sections.campaign, n)[0] for n in parameters},
         most_rows=MOST_ROWS,
