@@ -80,8 +80,8 @@ def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, Erro
         errors = {origin: float(part[i]) for origin, part in parts.items()}
         if name in fit.parameters and _DETECTOR in fit.parameters[name].contributions:
             light_yield = fit.parameters[name]
-            whole = {_DETECTOR: light_yield.contributions[_DETECTOR]}
-            errors |= light_yield.efficiency_contributions or whole
+            undivided = {_DETECTOR: light_yield.contributions[_DETECTOR]}
+            errors |= light_yield.efficiency_contributions or undivided
         if value:
             least = BUDGETING.rounding * max(errors.values())
             budgets[name] = ErrorBudget(

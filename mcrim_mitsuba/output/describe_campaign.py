@@ -406,8 +406,10 @@ def _yield_with(candidate: Candidate) -> Cell:
         return Cell("")
     change = light.get("change")
     in_brackets = "" if change is None else f" ({100 * change:+.1f} %)"
-    in_brackets = in_brackets.replace("+0.0 %", "0 %").replace("-0.0 %", "0 %")
-    return Cell(number(light["value"]) + in_brackets, light["value"], light.get("sigma"))
+    in_brackets = in_brackets.replace("+0.0 %", "0.0 %").replace("-0.0 %", "0.0 %")
+    # as many digits as its error deserves, zeros too
+    value = sentences.value_of(pdg(light["value"], light.get("sigma")))
+    return Cell(value + in_brackets, light["value"], light.get("sigma"))
 
 
 def _gain(candidate: Candidate) -> Cell:

@@ -214,6 +214,9 @@ def test_first_comes_what_was_found(made, parsed):
     assert first.xpath(".//figure//img/@src")[0].startswith("data:image/png")
     without = first.xpath(".//*[@id='light-yield-without']")
     assert bool(without) == bool(made[1]["effects"])
+    # of two errors it is said what they are
+    scattering = first.get_element_by_id("result-alpha-scat").text_content()
+    assert "(± statistical\xa0±\xa0systematic)" in scattering and scattering.count("±") == 4
     # the terminal has the number to quote too, not that of one fit alone
     to_quote = first.get_element_by_id("averaged-light-yield").text_content()
     printed = " ".join(made[0].with_suffix(".txt").read_text().split())
