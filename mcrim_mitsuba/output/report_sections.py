@@ -138,7 +138,8 @@ def gather(
     catalogue = campaign.catalogue
     lacking = [name for name in campaign.effects if not catalogue[name].is_in(campaign.scene)]
     values = {name: estimate.value for name, estimate in calibration.parameters.items()}
-    scene = mended_scene(campaign, (*lacking, *repaired.effects), {**calibration.fixed, **values})
+    values = {**calibration.fixed, **values}
+    scene = mended_scene(campaign, (*lacking, *repaired.effects), values)
     stage("profile likelihoods")
     profiles = calibration.profiles
     stage("picture of the bench")
@@ -155,6 +156,9 @@ def gather(
         if new.kind.split(" + ")[0] == READING and new.parameters.get(KIND, LIGHT) == LIGHT
     )
     to_build = next(of_light, None)
+    next_bench = None
+    if to_build and drawn is None:  # nobody builds what is suspected
+        next_bench = _drawn(mended_scene(campaign, lacking, values), to_build, run)
     return Sections(
         repaired=repaired,
         efficiencies=efficiencies(calibration),
@@ -162,7 +166,7 @@ def gather(
         ratio=ratio_curve(calibration),
         bench=bench,
         to_build=to_build,
-        next_bench=_drawn(scene, to_build, run) if to_build and drawn is None else None,
+        next_bench=next_bench,
         album=album,
         drawn=drawn,
         lights=_lights(couplings, scene, run, stage) if drawn is None else (),

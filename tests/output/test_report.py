@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from findings_by_hand import FIRST, MENDED, calibration, diagnosis, estimate, quick_report
+from findings_by_hand import FIRST, MENDED, SECOND, calibration, diagnosis, estimate, quick_report
 from lxml import html
 from refusals import refusal
 
@@ -289,6 +289,22 @@ def test_a_report_does_without_a_picture_that_cannot_be_drawn():
         )
         drawn = photograph.Photograph(process)
         assert (drawn.picture, drawn.trouble) == (None, trouble)
+
+
+def test_the_bench_to_build_is_drawn_without_what_is_suspected(made, by_hand, monkeypatch):
+    """Its gap had the bubble in it that was found in the one that stands."""
+    page, found = made
+    campaign = next(path for path in found["files"] if path.endswith(".toml"))
+    monkeypatch.setenv("MCRIM_CACHE", str(page.parent / "cache"))
+    tried = {name: by_hand.titles[name] for c in by_hand.candidates for name in c.effects}
+    with quick_report(replace(by_hand, titles=tried)) as patch:
+        drawn = []
+        patch.setattr(report_sections, "_drawn", lambda scene, *_: drawn.append(scene))
+        patch.setattr(reporting, "render", lambda _: "<html>")
+        sections = reporting.report(campaign, page.with_name("bubble.html"), effects=[SECOND])
+    assert "bubble_fraction" in dict(p[:2] for p in sections.bench.parameters)
+    (to_build,) = drawn
+    assert "bubble_fraction" not in to_build.parameters
 
 
 def test_pictures_are_drawn_once(made, parsed, by_hand, monkeypatch):
