@@ -157,6 +157,15 @@ class Campaign:
         of_samples = (name for sample in self.samples.values() for name in sample.scene)
         return tuple(dict.fromkeys([*self.measurements.columns, *of_samples]))
 
+    def cells(self, reading: Reading) -> dict[str, Value | None]:
+        """What differs from reading to reading, as one has it.
+
+        That is the parameters `varied`, None where it has none of that name, and of all that
+        columns switch whether it has it, 1 or 0.
+        """
+        parts = {name: float(name not in reading.without) for name in self.measurements.switches}
+        return {**{name: reading.parameters.get(name) for name in self.varied}, **parts}
+
     @property
     def values(self) -> dict[str, Value]:
         """Parameters of the scene and of the beam, at their own values."""

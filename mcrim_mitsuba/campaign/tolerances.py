@@ -38,10 +38,15 @@ _POSSIBLE = 2.0
 #: Usual standard uncertainties: of lengths, in part and at least; of gaps and films, in part; of
 #: indices that no material tells; of reflectances.
 LENGTH_PART, LENGTH_MM, GAP_PART, INDEX, REFLECTANCE = 0.01, 0.05, 0.3, 0.005, 0.02
+#: What is near an end of what there is cannot be off so far: parts of these, of which the first is
+#: taken by twice which the number stays inside.
+_NEAR_AN_END = 1.0, 0.5, 0.25, 0.1
 #: The same in words.
 USUAL = (
     f"lengths {100 * LENGTH_PART:g} %, at least {LENGTH_MM:g} mm; gaps {100 * GAP_PART:g} %; "
-    f"indices {INDEX:g}, or what the material says; reflectances {REFLECTANCE:g}"
+    f"indices {INDEX:g}, or what the material says; reflectances {REFLECTANCE:g}; of these "
+    f"{', '.join(f'{part:g}' for part in _NEAR_AN_END[1:])} where twice as much would pass an end, "
+    "as a reflectance of 1"
 )
 #: Standard uncertainties by which a number that is wrong, not inexact, may be off: a drawing that
 #: was read wrongly; and those within which it usually is. Another glass is another index.
@@ -233,8 +238,7 @@ def _usual(scene: SceneFile, room: Room, part: BenchNumber) -> Tolerance | None:
         sigma = GAP_PART * value if thin else max(LENGTH_PART * value, LENGTH_MM)
     else:
         return None
-    # what is near an end of what there is cannot be off so far
-    for less in (1.0, 0.5, 0.25, 0.1):
+    for less in _NEAR_AN_END:
         farthest = _farthest(room, part, less * sigma)
         if sigma > 0.0 and -farthest[0] >= _POSSIBLE * less * sigma <= farthest[1]:
             return Tolerance(part, value, less * sigma, farthest, given=False)

@@ -14,6 +14,7 @@ import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.known_physics import DEPTH_MM, KnownCrystal
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.corrections import (
@@ -35,10 +36,8 @@ _DETECTOR = "detector_efficiency"
 _PRIORS = {ALPHA_ABS: "absorption", DEPTH_MM: "source depth"}
 
 
-def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, ErrorBudget]:
-    """The budget of every quantity, the detector's part of the light yield's included."""
-    if any(fitted.at_bound is not None for fitted in fit.parameters.values()):
-        return {}
+def _parts_of(fit: Calibration, quantities: Quantities) -> tuple[dict[str, Array], Array]:
+    """(quantities,) parts of errors by origin, and (numbers, quantities) those of tolerances."""
     minimum = fit.minimum
     # (quantities, used readings): how a reading moves a quantity
     pulled = quantities.slopes @ minimum.response
@@ -52,8 +51,21 @@ def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, Erro
     moved = pulled @ minimum.weights.errors.pedestal
     parts["pedestal"] = np.sqrt(np.square(moved).sum(axis=1))
     parts["monte_carlo"] = quantities.sigmas
-    of_numbers = np.abs(quantities.by_tolerances)
-    whole = np.sqrt(np.square([*parts.values(), *of_numbers]).sum(axis=0))
+    return parts, np.abs(quantities.by_tolerances)
+
+
+def errors_of(fit: Calibration, quantities: Quantities) -> Array:
+    """(quantities,) errors of all origins together, but for the light yield's by its detector."""
+    parts, of_numbers = _parts_of(fit, quantities)
+    return np.sqrt(np.square([*parts.values(), *of_numbers]).sum(axis=0))
+
+
+def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, ErrorBudget]:
+    """The budget of every quantity, the detector's part of the light yield's included."""
+    if any(fitted.at_bound is not None for fitted in fit.parameters.values()):
+        return {}
+    parts, of_numbers = _parts_of(fit, quantities)
+    whole = errors_of(fit, quantities)
     others = np.zeros(len(quantities.names))
     for number, part in zip(fit.offsets, of_numbers, strict=True):
         if (part > BUDGETING.matters * whole).any():
@@ -68,8 +80,8 @@ def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, Erro
         errors = {origin: float(part[i]) for origin, part in parts.items()}
         if name in fit.parameters and _DETECTOR in fit.parameters[name].contributions:
             light_yield = fit.parameters[name]
-            whole = {_DETECTOR: light_yield.contributions[_DETECTOR]}
-            errors |= light_yield.efficiency_contributions or whole
+            undivided = {_DETECTOR: light_yield.contributions[_DETECTOR]}
+            errors |= light_yield.efficiency_contributions or undivided
         if value:
             least = BUDGETING.rounding * max(errors.values())
             budgets[name] = ErrorBudget(

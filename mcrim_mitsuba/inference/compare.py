@@ -357,13 +357,13 @@ def find_trends(fit: Minimum) -> tuple[Trend, ...]:
     F = (fall / factors) / (rest / its degrees of freedom). What the free parameters follow is no
     factor: all is weighed with `Minimum.precision`. With too many levels for the readings a
     straight line takes their place. There is one for each column of the readings with two values or
-    more.
+    more, those that switch parts of the bench included.
     """
-    readings = [r for r in fit.statistic.model.readings if r.use]
-    columns = dict.fromkeys(name for r in readings for name in r.parameters)
+    model = fit.statistic.model
+    rows = [model.campaign.cells(reading) for reading in model.readings if reading.use]
     varied = []
-    for name in columns:
-        cells = [r.parameters.get(name) for r in readings]
+    for name in rows[0]:
+        cells = [row[name] for row in rows]
         # a beam has no gap, and the bench no acceptance
         levels = sorted({c for c in cells if c is not None}, key=lambda v: (isinstance(v, str), v))
         if len(levels) > 1:

@@ -72,7 +72,7 @@ def minuit(statistic: Statistic, theta: Array, weights: Weights) -> tuple[Array,
     limits = list(zip(statistic.low.tolist(), statistic.high.tolist(), strict=True))
     for place, (low, high) in enumerate(limits):
         # clear of the bounds, on which MINUIT's transformation has no slope
-        margin = 1e-6 * (high - low if math.isfinite(high - low) else max(abs(x[place]), 1e-6))
+        margin = 1e-6 * (high - low if math.isfinite(high - low) else abs(x[place]) or 1e-6)
         inside.append(min(max(x[place], low + margin), high - margin))
         prior_weight = float(statistic.prior_weight[place])
         step = 0.05 * abs(inside[-1]) or 0.01

@@ -265,6 +265,7 @@ def of_fit(fit: results.FitResult) -> Description:
         _origins(fit),
         strong(sentences.next_for_fit(fit, fit.model.campaign.priors)),
         fitted_readings(fit.rows),
+        sentences.which_eta(fit),
         f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {fit.provenance.photons:,} photons "
         f"in {len(fit.rows)} readings, seed {fit.provenance.seed}, {fit.seconds:.1f} s",
         notes=fit.notes,
@@ -405,8 +406,10 @@ def _yield_with(candidate: Candidate) -> Cell:
         return Cell("")
     change = light.get("change")
     in_brackets = "" if change is None else f" ({100 * change:+.1f} %)"
-    in_brackets = in_brackets.replace("+0.0 %", "0 %").replace("-0.0 %", "0 %")
-    return Cell(number(light["value"]) + in_brackets, light["value"], light.get("sigma"))
+    in_brackets = in_brackets.replace("+0.0 %", "0.0 %").replace("-0.0 %", "0.0 %")
+    # as many digits as its error deserves, zeros too
+    value = sentences.value_of(pdg(light["value"], light.get("sigma")))
+    return Cell(value + in_brackets, light["value"], light.get("sigma"))
 
 
 def _gain(candidate: Candidate) -> Cell:
@@ -637,9 +640,15 @@ def step_text(step: RepairStep) -> str:
 
 def of_report(report: results.ReportResult) -> Description:
     """What a report says first; the page has the rest."""
-    headline, profiles = strong(report.sections.headline), report.sections.profiles
-    pieces = (headline, parameters_table(report.parameters, profiles), _shapes(profiles))
-    return described("report of a campaign", *pieces, **_spent(report))
+    profiles = report.sections.profiles
+    return described(
+        "report of a campaign",
+        strong(report.sections.headline),
+        strong(sentences.averaged_yield(report)),
+        parameters_table(report.parameters, profiles),
+        _shapes(profiles),
+        **_spent(report),
+    )
 
 
 # A part of an error, and what a model leaves out.
@@ -763,6 +772,7 @@ def _totals(errors: Budget) -> Iterator[Piece]:
         cells += [_two_digits(total.corrected, total.corrected_sigma)] if corrected else []
         rows.append(cells)
     yield table("results, with all errors", [*columns, *["corrected"] * corrected], rows)
+    yield sentences.which_eta(errors.fit)
     if corrected:
         yield (
             "A correction is no error: make it in the scene or the campaign. The errors of "

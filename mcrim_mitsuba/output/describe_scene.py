@@ -7,6 +7,7 @@ a text with the number behind it and its error; a `Column` says what it shows of
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.efficiency.attenuation import Attenuation
     from mcrim_mitsuba.efficiency.lighting import Spread
     from mcrim_mitsuba.output import scene_results as results
+    from mcrim_mitsuba.scene.check_text import Interface
 
 
 #: Of a spectrum, that a table shows.
@@ -245,7 +247,6 @@ FACES = (
     Column("n", "n_behind", "g", of="n_interior"),
     Column("in front of it", of="exterior"),
     Column("n", "n_in_front", "g", of="n_exterior"),
-    Column("line", form="d"),
 )
 
 
@@ -255,7 +256,14 @@ def of_check(report: results.CheckResult, *, first: bool = True) -> Description:
     Not the `first` problem where the command raises it; the others are shown.
     """
     problems = [f"{'also: ' if i else ''}{problem}" for i, problem in enumerate(report.problems)]
-    faces = records("", FACES, report.interfaces)
+    scene = report.scene if isinstance(report.scene, str | Path) else report.scene.path
+    own = Path(scene).resolve()
+
+    def line(face: Interface) -> Cell:
+        included = "" if face.path.resolve() == own else f"{face.path.name}: "
+        return shown(face.line, lambda line: "" if line is None else f"{included}{line}")
+
+    faces = records("", (*FACES, Column("line", of=line)), report.interfaces)
     pieces = (listed(report.words), faces, problems if first else problems[1:])
     return described("check of a scene", *pieces, notes=report.notes)
 

@@ -119,12 +119,12 @@ def data_uri(data: bytes, kind: str = "text/plain") -> str:
 
 def efficiencies_csv(sections: Sections) -> bytes:
     """The light collection efficiency of every reading, with its configuration."""
-    varied = sections.campaign.varied
+    columns = sections.campaign.cells(sections.campaign.measurements.readings[0])
     rows = [
-        (e.label, *map(e.parameters.get, varied), e.eta, e.sigma, row.pull)
+        (e.label, *map(e.parameters.get, columns), e.eta, e.sigma, row.pull)
         for e, row in zip(sections.efficiencies, sections.calibration.rows, strict=True)
     ]
-    return style.numbers_text(("label", *varied, "eta", "eta_sigma", "pull"), rows).encode()
+    return style.numbers_text(("label", *columns, "eta", "eta_sigma", "pull"), rows).encode()
 
 
 # The report's own: how a ratio of readings gives the scattering, and the bench for its beginning.
@@ -313,7 +313,7 @@ def render(sections: Sections) -> str:
         fit=sections.calibration,
         pictures=album_of(sections),
         efficiencies=efficiencies_csv(sections),
-        faces=records("", FACES[:-1], sections.bench.report.interfaces),
+        faces=records("", FACES, sections.bench.report.interfaces),
         steps=describe_campaign.steps_table(steps),
         meanings={n: sentences.parameter_words(sections.campaign, n)[0] for n in parameters},
         most_rows=MOST_ROWS,

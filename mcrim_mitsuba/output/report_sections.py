@@ -23,6 +23,8 @@ from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.effect import modules_of
 from mcrim_mitsuba.efficiency.lighting import Light, follow_light
+from mcrim_mitsuba.inference.budget import errors_of
+from mcrim_mitsuba.inference.corrections import fitted
 from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.next_measurements import READING, NextMeasurement
@@ -142,7 +144,8 @@ def gather(
     catalogue = campaign.catalogue
     lacking = [name for name in campaign.effects if not catalogue[name].is_in(campaign.scene)]
     values = {name: estimate.value for name, estimate in calibration.parameters.items()}
-    scene = mended_scene(campaign, (*lacking, *repaired.effects), {**calibration.fixed, **values})
+    values = {**calibration.fixed, **values}
+    scene = mended_scene(campaign, (*lacking, *repaired.effects), values)
     stage("profile likelihoods")
     profiles = calibration.profiles
     stage("picture of the bench")
@@ -159,6 +162,9 @@ def gather(
         if new.kind.split(" + ")[0] == READING and new.parameters.get(KIND, LIGHT) == LIGHT
     )
     to_build = next(of_light, None)
+    next_bench = None
+    if to_build and drawn is None:  # nobody builds what is suspected
+        next_bench = _drawn(mended_scene(campaign, lacking, values), to_build, run)
     return Sections(
         repaired=repaired,
         efficiencies=efficiencies(calibration),
@@ -166,7 +172,7 @@ def gather(
         ratio=ratio_curve(calibration),
         bench=bench,
         to_build=to_build,
-        next_bench=_drawn(scene, to_build, run) if to_build and drawn is None else None,
+        next_bench=next_bench,
         album=album,
         drawn=drawn,
         lights=_lights(couplings, scene, run, stage) if drawn is None else (),
@@ -339,24 +345,22 @@ class Efficiency:
     """The light collection efficiency of one reading's configuration."""
 
     label: str
-    #: What differs from reading to reading.
+    #: What differs from reading to reading, by column.
     parameters: dict[str, Value]
-    #: Fraction of the light that is detected; the error is that of the fit and of the simulation.
+    #: Fraction of the light that is detected, with the error of all origins.
     eta: float
     sigma: float
 
 
 def efficiencies(fit: Calibration) -> tuple[Efficiency, ...]:
-    """The efficiency of every reading, its error propagated from the fit."""
-    model = fit.model
-    slopes = model.predict(fit.theta).eta_slopes
-    # of each reading s V s, s its slopes and V the covariance of the parameters
-    variances = np.einsum("ri,ij,rj->r", slopes, fit.covariance, slopes)
-    values = []
-    for row, reading, variance in zip(fit.rows, model.readings, variances, strict=True):
-        # rounding may leave a variance just below 0
-        sigma = math.sqrt(max(variance, 0.0) + row.eta_sigma**2)
-        values.append(Efficiency(row.label, dict(reading.parameters), row.eta, sigma))
+    """The efficiency of every reading, its error that of `budget`."""
+    campaign, values = fit.model.campaign, []
+    # parameters are before, and the ratio of two readings after those of readings
+    sigmas = errors_of(fit, fitted(fit))[len(fit.names) :][: len(fit.rows)].tolist()
+    for row, reading, sigma in zip(fit.rows, fit.model.readings, sigmas, strict=True):
+        cells = campaign.cells(reading).items()
+        differing = {name: cell for name, cell in cells if cell is not None}
+        values.append(Efficiency(row.label, differing, row.eta, sigma))
     return tuple(values)
 
 

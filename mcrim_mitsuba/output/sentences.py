@@ -179,7 +179,7 @@ def most_apart(compared: SideBySide) -> list[str]:
 
 def prediction_text(row: FittedRow) -> str:
     """What a model predicts of a reading, to the place that the reading's error deserves."""
-    return _value_of(signal_text(row.of_beam, row.model, row.sigma))
+    return value_of(signal_text(row.of_beam, row.model, row.sigma))
 
 
 def apart_text(compared: SideBySide) -> str:
@@ -511,7 +511,7 @@ def shapes(profiles: Iterable[Profile]) -> list[str]:
             for width, end in zip(widths, ends, strict=True)
         ):
             real, of_sigma = (
-                " to ".join(_value_of(pdg(end, profile.sigma)) for end in pair)
+                " to ".join(value_of(pdg(end, profile.sigma)) for end in pair)
                 for pair in (interval, parabola)
             )
             lines.append(
@@ -575,6 +575,16 @@ def what_next(budget: ErrorBudget, of: str) -> str:
     return (
         f"What to {verb} next: {what}: {share.removesuffix(' %')} of the {of}'s {whole}, in "
         f"quadrature. What helps: {part.by}."
+    )
+
+
+def which_eta(fit: Calibration) -> str:
+    """Of which bench the efficiencies of a fit are; nothing where its numbers are as written."""
+    if not any(abs(n.offset) > _NOTHING * n.tolerance.sigma for n in fit.offsets):
+        return ""
+    return (
+        "eta is that of the bench whose numbers are off as the readings have them; simulate "
+        "takes them as the scene says, and gives another"
     )
 
 
@@ -816,10 +826,10 @@ def interval(estimate: ParameterEstimate) -> str:
         return f"{number(estimate.lower, 4)} to {number(estimate.upper, 4)}"
     # half the width is an error: a tenth of that has one digit more
     ends = (pdg(end, width / 20) for end in (estimate.lower, estimate.upper))
-    return " to ".join(map(_value_of, ends))
+    return " to ".join(map(value_of, ends))
 
 
-def _value_of(text: str) -> str:
+def value_of(text: str) -> str:
     """The value of ``1.23 ± 0.05``, of ``(1.23 ± 0.05)e7`` with its power of ten: ``1.23e7``."""
     value, _, sigma = text.partition(" ± ")
     _, bracket, power = sigma.partition(")")

@@ -165,6 +165,7 @@ class Model:
         self.campaign = SimpleNamespace(
             path=None,
             measurements=SimpleNamespace(columns=tuple(self.readings[0].parameters)),
+            cells=lambda reading: reading.parameters,
             tolerances=(),
             light_yield=known,
             switched_on=[EFFECTS[name] for name in self.effects],

@@ -57,3 +57,7 @@ def test_what_was_included_stands_in_the_new_scene(mcrim, tmp_path, scenes):
     out = mcrim.shown("add", "surface_absorption", scenes / "cawo4.xml", "-o", new)
     assert "note: camoo4.xml, which the scene included, is now part of it" in out
     assert read_scene(new).parameters["n_crystal"] == 1.92
+    # a face is said to be written there, where that is not the scene itself
+    for scene, at in ((scenes / "cawo4.xml", "camoo4.xml: 109 "), (scenes / "camoo4.xml", " 109 ")):
+        line = next(x for x in mcrim.shown("check", scene).splitlines() if "crystal_top" in x)
+        assert line.split("│")[-2].strip() == at.strip()

@@ -115,6 +115,16 @@ def row_of(out: str, first: str) -> list[str]:
     return [cell.strip() for cell in line.split("│")[1:-1]]
 
 
+def test_a_light_yield_has_the_digits_of_its_error():
+    """It was 7 beside 8.34, and 0 % beside -6.0 %."""
+    light = {"value": 7.0, "sigma": 0.5, "change": 0.0002}
+    explanations = [replace(by.CANDIDATES[0], light_yield_ph_per_keV=light)]
+    table = describe_campaign.candidates_table(by.diagnosis("ambiguous"), explanations, "")
+    (cells,) = (row.cells for row in table.rows)
+    place = [column.title for column in table.columns].index("light yield")
+    assert cells[place].text == "7.0 (0.0 %)"
+
+
 def test_compare_shows_where_the_misfit_lies(mcrim, campaign, found):
     status, out, err = mcrim("compare", campaign)
     assert (status, err) == (0, "")

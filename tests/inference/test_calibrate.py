@@ -13,16 +13,18 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR
-from mcrim_mitsuba.inference.budget import budget
+from mcrim_mitsuba.inference.budget import budget, contributions_to
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.compare import comparison_of
+from mcrim_mitsuba.inference.corrections import fitted
 from mcrim_mitsuba.inference.diagnose import diagnose
 from mcrim_mitsuba.inference.drivers import settle
 from mcrim_mitsuba.inference.repair import repair
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.output.describe_campaign import numbers_of_bench
-from mcrim_mitsuba.output.sentences import plausibility
+from mcrim_mitsuba.output.report_sections import efficiencies
+from mcrim_mitsuba.output.sentences import plausibility, which_eta
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 pytestmark = pytest.mark.usefixtures("kept_records")
@@ -333,6 +335,19 @@ def test_readings_stand_beside_the_bench_as_they_have_it(wide):
     *_, rows, line = numbers_of_bench(fit)
     assert "crystal width (mm)" in [row.cells[0].text for row in rows.rows]
     assert len(rows.rows) < len(fit.offsets) and "lengths 1 %" in line
+    # a foil's reflectance has another than a tape's, by a rule that the line has
+    assert "of these 0.5, 0.25, 0.1 where twice as much would pass an end" in line
+
+
+def test_an_efficiency_is_told_with_its_bench_and_one_error(wide):
+    """Nobody said whose numbers were off, and reports had larger errors than budgets."""
+    fit = calibrate(wide(""))
+    budgets = contributions_to(fit, fitted(fit))
+    for reading in efficiencies(fit):
+        total = budgets[f"eta {reading.label}"].total
+        assert reading.sigma == pytest.approx(total * reading.eta, rel=1e-6)
+    assert "off as the readings have them" in which_eta(fit)
+    assert which_eta(calibrate(wide("none = true\n"))) == ""
 
 
 def test_what_changes_no_reading_is_no_candidate(wide):

@@ -15,6 +15,7 @@ from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects, measurements_text
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.inference.compare import find_trends
 from mcrim_mitsuba.inference.drivers import find_minima
 from mcrim_mitsuba.inference.fit import fit_model, result_of
 from mcrim_mitsuba.inference.repair import mended_scene, scene_text
@@ -122,6 +123,24 @@ def test_shared_sizes_are_found_again(shipped):
     assert (np.abs(np.mean(pulls, axis=0)) < 3.5 / 10).all(), np.mean(pulls, axis=0)
 
 
+def test_pulls_are_told_along_what_columns_switch(shipped):
+    """Rows with a ground top 10 % too bright: compare said nothing of the column, nor a report."""
+    campaign, model = shipped
+    readings = []
+    for row in campaign.measurements.readings:
+        too_bright = 1.1 if "ground_top" not in row.without else 1.0
+        readings.append(dataclasses.replace(row, signal=too_bright * row.signal))
+    measured = dataclasses.replace(campaign.measurements, readings=tuple(readings))
+    changed = dataclasses.replace(campaign, measurements=measured)
+    fit = find_minima(Statistic(type(model)(changed, model.responses, (), model.anchor)))[0]
+    trends = {trend.parameter: trend for trend in find_trends(fit)}
+    assert trends.keys() == {"ground_top", "ground_side", "ground_bottom"}
+    low, high = trends["ground_top"].mean_pulls
+    assert trends["ground_top"].levels == (0.0, 1.0) and low < high
+    bare, *_, ground = (changed.cells(row) for row in readings)
+    assert set(bare.values()) == {0.0} and 1.0 in ground.values()
+
+
 def test_columns_take_a_wrapping_off(read):
     """By its id, or a face: what is left is as if it was written so."""
     rows = "label,signal,sigma,wrapping,n_gap\nwrapped,3,0.1,1,1.46\nbare,1,0.1,0,1.46\n"
@@ -134,6 +153,10 @@ def test_columns_take_a_wrapping_off(read):
         campaign = read(text, csv)
         bare = campaign.scene.with_overrides(campaign.measurements.readings[1].parameters)
         assert without in {str(value) for value in bare.parameters.values()}
+        # as the file has it, without what that is made of
+        column = csv.split(",")[3]
+        cells = [campaign.cells(row) for row in campaign.measurements.readings]
+        assert cells == [{"n_gap": 1.46, column: 1.0}, {"n_gap": 1.46, column: 0.0}]
         written = scene.read_text().replace(
             'name="film" value="$film_mm"/>',
             f'name="film" value="$film_mm"/>\n    <string name="without" value="{without}"/>',

@@ -2,17 +2,19 @@
 
 import base64
 import hashlib
+import io
 import json
 import re
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
-from findings_by_hand import FIRST, MENDED, calibration, diagnosis, estimate, quick_report
+from findings_by_hand import FIRST, MENDED, SECOND, calibration, diagnosis, estimate, quick_report
 from lxml import html
 from refusals import refusal
 
@@ -75,7 +77,9 @@ def made(tmp_path_factory, scenes, by_hand):
     with quick_report(by_hand) as patch:
         patch.setenv("MCRIM_CACHE", str(folder / "cache"))
         page, numbers = folder / "report.html", folder / "report.json"
-        assert main(["report", str(campaign), "-o", str(page), "--json", str(numbers)]) == 0
+        with redirect_stdout(io.StringIO()) as printed:
+            assert main(["report", str(campaign), "-o", str(page), "--json", str(numbers)]) == 0
+    page.with_suffix(".txt").write_text(printed.getvalue())
     return page, json.loads(numbers.read_text())
 
 
@@ -210,6 +214,13 @@ def test_first_comes_what_was_found(made, parsed):
     assert first.xpath(".//figure//img/@src")[0].startswith("data:image/png")
     without = first.xpath(".//*[@id='light-yield-without']")
     assert bool(without) == bool(made[1]["effects"])
+    # of two errors it is said what they are
+    scattering = first.get_element_by_id("result-alpha-scat").text_content()
+    assert "(± statistical\xa0±\xa0systematic)" in scattering and scattering.count("±") == 4
+    # the terminal has the number to quote too, not that of one fit alone
+    to_quote = first.get_element_by_id("averaged-light-yield").text_content()
+    printed = " ".join(made[0].with_suffix(".txt").read_text().split())
+    assert to_quote.startswith("7.7\xa0±\xa00.9") and "Light yield: 7.7 ± 0.9 ph/keV" in printed
 
 
 def test_the_page_is_quiet_in_a_browser_and_prints_on_few_pages(made, browser):
@@ -278,6 +289,22 @@ def test_a_report_does_without_a_picture_that_cannot_be_drawn():
         )
         drawn = photograph.Photograph(process)
         assert (drawn.picture, drawn.trouble) == (None, trouble)
+
+
+def test_the_bench_to_build_is_drawn_without_what_is_suspected(made, by_hand, monkeypatch):
+    """Its gap had the bubble in it that was found in the one that stands."""
+    page, found = made
+    campaign = next(path for path in found["files"] if path.endswith(".toml"))
+    monkeypatch.setenv("MCRIM_CACHE", str(page.parent / "cache"))
+    tried = {name: by_hand.titles[name] for c in by_hand.candidates for name in c.effects}
+    with quick_report(replace(by_hand, titles=tried)) as patch:
+        drawn = []
+        patch.setattr(report_sections, "_drawn", lambda scene, *_: drawn.append(scene))
+        patch.setattr(reporting, "render", lambda _: "<html>")
+        sections = reporting.report(campaign, page.with_name("bubble.html"), effects=[SECOND])
+    assert "bubble_fraction" in dict(p[:2] for p in sections.bench.parameters)
+    (to_build,) = drawn
+    assert "bubble_fraction" not in to_build.parameters
 
 
 def test_pictures_are_drawn_once(made, parsed, by_hand, monkeypatch):
