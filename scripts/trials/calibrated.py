@@ -6,8 +6,9 @@ Simulation-based calibration (S. Talts et al., arXiv:1804.06788): causes, their 
 and offsets are drawn from what a diagnosis takes for known before it sees a reading; readings
 follow by the campaign's own responses, with their errors, the simulation's and those of the bench's
 numbers. Where the truth lies in the diagnosis's distribution is then even from 0 to 1, and causes
-are there as often as their probability says. Scattering has no prior: it is drawn about that of the
-fit. Readings are wrong in no draw, though a diagnosis expects it of some.
+are there as often as their probability says. Scattering has no prior, so that a diagnosis takes all
+between its bounds for equally likely: it is drawn evenly about that of the fit. Readings are wrong
+in no draw, though a diagnosis expects some.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ from trials.truth import do_missing
 CAMPAIGN = Path(__file__).resolve().parents[2] / "scenes" / "camoo4_misfit.toml"
 #: Most causes at once, as of what a diagnosis weighs.
 MOST_CAUSES = 3
-#: Spread of ln(scattering) that is drawn.
-SPREAD = 0.3
+#: Least and most of the scattering that is drawn, in parts of the fitted one.
+ABOUT = (0.5, 1.5)
 #: Parts of the distribution whose coverage is told.
 PARTS = (0.5, 0.68, 0.9, 0.95)
 #: Ends of the probabilities of causes that are told together.
@@ -173,10 +174,11 @@ def _draw(
     known = explanations.priors(hidden)
     of_effects = {p.name for name in hidden for p in explanations.effects[name].parameters}
     for parameter in statistic.free:
-        if parameter.prior is not None or parameter.name in of_effects:
-            drawn = known[parameter.name].value(rng.standard_normal(1))[0]
-            values[parameter.name] = float(np.clip(drawn, parameter.minimum, parameter.maximum))
-    values[ALPHA_SCAT] *= math.exp(SPREAD * rng.standard_normal())
+        if parameter.prior is None and parameter.name not in of_effects:
+            continue
+        drawn = known[parameter.name].value(rng.standard_normal(1))[0]
+        values[parameter.name] = float(np.clip(drawn, parameter.minimum, parameter.maximum))
+    values[ALPHA_SCAT] *= rng.uniform(*ABOUT)
     theta = np.clip(statistic.theta(values), *statistic.bounds)
     signal = statistic.model.predict(theta).signal
     if not np.all(signal > 0.0):
