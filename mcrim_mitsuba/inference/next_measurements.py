@@ -131,7 +131,8 @@ def next_measurements(
     Returns
     -------
     tuple of NextMeasurement
-        The best first, at most ten, with the best two together among them.
+        The best first, at most ten, with the best two together among them; what buys nothing only
+        where nothing does.
     """
     likely = _likely(judgement)
     offers = _offers(judgement, proposals, likely)
@@ -169,7 +170,7 @@ def next_measurements(
     if pairs:
         best_pair = max(pairs, key=lambda places: pairs[places][0])
         bought[best_pair] = pairs[best_pair]
-    telling = [places for places in bought if bought[places][0] > 0.0]
+    telling = [places for places in bought if bought[places][0] > 0.0] or list(bought)
     order = sorted(telling, key=lambda places: -bought[places][0])[: ADVICE.most]
     rises, rivals = cloud.rises(leading[: ADVICE.most_rivals])
     names = [" + ".join(effects) for effects in leading]
