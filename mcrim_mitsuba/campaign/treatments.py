@@ -70,6 +70,25 @@ def _sheets_of(scene: SceneFile) -> list[str]:
     ]
 
 
+def states(campaign: Campaign) -> list[str]:
+    """What some rows have and others not, as it is in the first one of light, in words."""
+    rows, parts = campaign.measurements.readings, _parts_of(campaign.scene)
+    first = next((row for row in rows if not row.of_beam), rows[0])
+    words, lone = [], len({wrapping for wrapping, _ in parts.values()}) == 1
+    for name in campaign.measurements.switches:
+        if not any(name in row.without for row in rows):
+            continue
+        # another sample is no bench of the campaign's own
+        off = name in first.without and not first.sample
+        if name in parts and lone:
+            of = "" if parts[name][0] == name else f"{name} "
+            words.append(f"{of}{'bare' if off else 'wrapped'}")
+        else:
+            effect = campaign.catalogue.get(name)
+            words.append(f"{'without' if off else 'with'} {effect.title if effect else name}")
+    return words
+
+
 def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
     """The campaign with the effects in its scene that rows switch, or that share their sizes.
 

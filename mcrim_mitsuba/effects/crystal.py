@@ -34,6 +34,7 @@ POLARIZATION = Effect(
     title="polarisation of the light",
     family="light",
     look="It is always there: switch it on; nothing needs to be looked for.",
+    always_there=True,
     physics=(
         "A face reflects the two polarisations of a photon differently, and total internal "
         "reflection shifts their phases against each other: light that was reflected once is "

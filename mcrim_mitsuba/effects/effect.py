@@ -315,6 +315,8 @@ class Effect:
     family: str = "others"
     #: How to look for it without any fit, in a sentence or two.
     look: str = ""
+    #: Whether every bench has it: to look for it would tell nothing.
+    always_there: bool = False
 
     @property
     def group(self) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
@@ -270,6 +270,13 @@ def diagnose(
         precise |= named if precise <= first else set(names)
     # only now: whatever may be measured next is simulated for it
     diagnosis = diagnosis_of(judged, simulations.proposals(), progress=progress)
+    refused = simulations.not_tried
+    titles = {name: campaign.catalogue[name].title for name in refused}
+    diagnosis = replace(
+        diagnosis,
+        not_tried={**refused, **diagnosis.not_tried},
+        titles={**titles, **diagnosis.titles},
+    )
     screened.write(precise)
     if diagnosis.caution:
         simulations.notes.append(diagnosis.caution)

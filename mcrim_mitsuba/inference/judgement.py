@@ -152,8 +152,23 @@ class Judgement:
 
     @cached_property
     def leading(self) -> tuple[tuple[str, ...], ...]:
-        """Sets of effects among them, the likeliest first."""
-        return tuple(dict.fromkeys(h.effects for h, _ in self.credible if h.effects))
+        """Sets of effects among them, the likeliest first.
+
+        Where the likeliest describes the readings, none whose own fit they refuse: what explains
+        them is then what is beside it, something without a name or larger errors.
+        """
+        sets = [h for h, _ in self.credible if h.effects]
+        if sets and not self._is_refused(sets[0]):
+            sets = [hypothesis for hypothesis in sets if not self._is_refused(hypothesis)]
+        return tuple(dict.fromkeys(h.effects for h in sets))
+
+    def _is_refused(self, hypothesis: Hypothesis) -> bool:
+        """Whether effects, beside wrong readings, leave a misfit that is hardly chance."""
+        p, effects = hypothesis.p_value, hypothesis.effects
+        # these describe any readings
+        if {UNKNOWN, UNDERSTATED} & {*hypothesis.besides} and self.explanations.possible(effects):
+            p = self.explanations.fit(effects).p_value
+        return p is not None and p < JUDGING.refused
 
     @cached_property
     def unsettled(self) -> tuple[tuple[str, ...], ...]:
@@ -161,6 +176,7 @@ class Judgement:
         if not self.leading:
             return ()
         fit_of, best = self.explanations.fit, self.explanations.fit(self.leading[0])
+        best_refused = best.p_value is not None and best.p_value < JUDGING.refused
         best_weight = max(h.log_weight for h, _ in self.credible if h.effects)
         lowest = best_weight + math.log(1.0 - JUDGING.credible)
         return tuple(
@@ -170,6 +186,7 @@ class Judgement:
             # two errors of chi2, which is twice the logarithm of a weight
             if not any(set(leads) <= set(h.effects) for leads in self.leading)
             and h.log_weight + error_of_difference(fit_of(h.effects), best) >= lowest
+            and (best_refused or not self._is_refused(h))
         )
 
     @property

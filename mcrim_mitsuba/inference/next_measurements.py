@@ -131,19 +131,21 @@ def next_measurements(
     Returns
     -------
     tuple of NextMeasurement
-        The best first, at most ten, with the best two together among them.
+        The best first, at most ten, with the best two together among them; what buys nothing only
+        where nothing does.
     """
     likely = _likely(judgement)
     offers = _offers(judgement, proposals, likely)
     if not offers:
         return ()
-    known = judgement.baseline.statistic.model.campaign.light_yield
-    efficiency = known.relative_sigma if known else 0.0
     cloud = _cloud(judgement, proposals, likely, offers)
     # what leads only beside wrong readings predicts with them
     leading = [effects for effects in judgement.leading if " + ".join(effects) in cloud.names]
+    averaged, known = judgement.light_yield, judgement.baseline.statistic.model.campaign.light_yield
     outcomes, answering = cloud.half(0).outcomes(), cloud.half(1)
-    before = answering.left(np.zeros((1, len(answering.weights))), efficiency)
+    if averaged is not None and known is not None and cloud.yields is not None:
+        answering = answering.as_wide_as(averaged.sigma / averaged.value, known.relative_sigma)
+    before = answering.left(np.zeros((1, len(answering.weights))))
 
     def hours(places: tuple[int, ...]) -> float:
         chosen = [offers[i] for i in places]
@@ -153,7 +155,7 @@ def next_measurements(
     def bought_by(places: tuple[int, ...]) -> tuple[float, _Left]:
         """Half the sum of the parts by which error and doubt fall, per hour, discounted."""
         likelihood = np.sum([answering.log_likelihood(outcomes, i) for i in places], axis=0)
-        left = answering.left(likelihood, efficiency)
+        left = answering.left(likelihood)
         fallen = 1.0 - left.error / before.error if cloud.yields is not None else 0.0
         doubt = (left.probability - before.probability) / max(1.0 - before.probability, 1e-6)
         worth = 0.5 * (fallen + doubt) / hours(places) * left.kept**ADVICE.discount
@@ -168,10 +170,11 @@ def next_measurements(
     if pairs:
         best_pair = max(pairs, key=lambda places: pairs[places][0])
         bought[best_pair] = pairs[best_pair]
-    order = sorted(bought, key=lambda places: -bought[places][0])[: ADVICE.most]
+    telling = [places for places in bought if bought[places][0] > 0.0] or list(bought)
+    order = sorted(telling, key=lambda places: -bought[places][0])[: ADVICE.most]
     rises, rivals = cloud.rises(leading[: ADVICE.most_rivals])
     names = [" + ".join(effects) for effects in leading]
-    has_yield = known is not None and cloud.yields is not None
+    has_yield = averaged is not None and cloud.yields is not None
 
     def proposed(places: tuple[int, ...]) -> NextMeasurement:
         chosen, left = [offers[i] for i in places], bought[places][1]
@@ -231,10 +234,12 @@ def _offers(
     Looks are for effects that lead.
     """
     sigmas = np.broadcast_to(proposals.relative_sigma, len(proposals.configurations))
-    offers = [
-        _Offer(READING, configuration_words(parameters, proposals.comments), sigma, parameters)
-        for parameters, sigma in zip(proposals.configurations, sigmas.tolist(), strict=True)
-    ]
+    offers = []
+    for parameters, sigma in zip(proposals.configurations, sigmas.tolist(), strict=True):
+        set_by_hand = {n: v for n, v in parameters.items() if n not in proposals.switched_by}
+        phrases = [configuration_words(set_by_hand, proposals.comments)]
+        phrases += proposals.switched if parameters.get(KIND, LIGHT) == LIGHT else []
+        offers.append(_Offer(READING, ", ".join(filter(None, phrases)), sigma, parameters))
     suspects = (hypothesis.suspect for hypothesis, _ in likely if hypothesis.suspect)
     wrong = {label for suspect in suspects for label in suspect.labels}
     statistic = judgement.baseline.statistic
@@ -262,7 +267,7 @@ def _offers(
     blur = 0.5 / float(ndtri(ADVICE.look_right))
     for name in dict.fromkeys(name for effects in judgement.leading for name in effects):
         effect = judgement.explanations.effects[name]
-        if effect.look:
+        if effect.look and not effect.always_there:
             words = f"look for {effect.title}"
             offers.append(_Offer(LOOK, words, blur, minutes=ADVICE.look_minutes, name=name))
     return offers
@@ -276,19 +281,26 @@ class _Cloud:
     of: Array
     names: tuple[str, ...]
     weights: Array
+    #: Probability (0..1) of all of these explanations together.
+    covered: float
     #: (points, m) what they predict of every offer, and its standard error.
     signals: Array
     sigmas: Array
     #: (points,) light yields up to a factor, with what no reading tells, in rising order of these;
     #: None where the scale is not fitted.
     yields: Array | None
+    #: Factor on the yields' spread, and the relative error of the detector's efficiency besides.
+    widening: float = 1.0
+    efficiency: float = 0.0
 
     def half(self, first: int) -> _Cloud:
         """Every other point: 0, to measure at; 1, to answer (what made it knows it too well)."""
+        of, weights, count = self.of[first::2], self.weights[first::2], len(self.names)
+        parts = np.bincount(of, weights, count) / np.bincount(self.of, self.weights, count)
         return replace(
             self,
-            of=self.of[first::2],
-            weights=self.weights[first::2],
+            of=of,
+            weights=weights / parts[of],  # explanations are as likely as with all points
             signals=self.signals[first::2],
             sigmas=self.sigmas[first::2],
             yields=None if self.yields is None else self.yields[first::2],
@@ -309,12 +321,22 @@ class _Cloud:
         away = (readings[:, place, None] - self.signals[:, place]) / sigma
         return np.asarray(-0.5 * away**2 - np.log(sigma), float)
 
-    def left(self, log_likelihood: Array, efficiency: float) -> _Left:
-        """What outcomes leave, (outcomes, points) of logarithms."""
+    def as_wide_as(self, error: float, efficiency: float) -> _Cloud:
+        """With a factor on the yields' spread by which what tells nothing leaves the error of now.
+
+        That is relative, with what is too unlikely to be a point, what rehearsals add, and the
+        detector's `efficiency`.
+        """
+        spread = self.left(np.zeros((1, len(self.weights)))).error
+        widening = math.sqrt(max(error**2 - efficiency**2, 0.0)) / spread
+        return replace(self, widening=widening, efficiency=efficiency)
+
+    def left(self, log_likelihood: Array) -> _Left:
+        """What outcomes leave, (outcomes, points) of logarithms; no point: as likely as it was."""
         weights = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True)) * self.weights
         weights /= weights.sum(axis=1, keepdims=True)
         by_name = np.stack([weights[:, self.of == k].sum(axis=1) for k in range(len(self.names))])
-        probability = min(float(by_name.max(axis=0).mean()), 1.0)
+        probability = self.covered * min(float(by_name.max(axis=0).mean()), 1.0)
         if self.yields is None:
             return _Left(math.nan, 1.0, None, probability)
         cumulated = np.cumsum(weights, axis=1)
@@ -322,7 +344,7 @@ class _Cloud:
             self.yields[np.minimum((cumulated < part).sum(axis=1), len(self.yields) - 1)]
             for part in QUANTILES
         )
-        error = np.hypot(0.5 * (high - low) / median, efficiency)
+        error = np.hypot(self.widening * 0.5 * (high - low) / median, self.efficiency)
         return _Left(*_most_kept(error), probability)
 
     def rises(self, leading: Sequence[tuple[str, ...]]) -> tuple[Array, list[tuple[int, int]]]:
@@ -423,6 +445,7 @@ def _cloud(
         of=np.concatenate(of)[order],
         names=names,
         weights=weight[order],
+        covered=min(sum(share for _, share in likely), 1.0),
         signals=signal[order],
         sigmas=sigma[order],
         yields=scale[order] if scale.all() else None,
@@ -433,7 +456,8 @@ def _likely(judgement: Judgement) -> list[tuple[Hypothesis, float]]:
     """Hypotheses that predict, with their probabilities, the likeliest first.
 
     The first few of those that lead, and all others that are likely, as long as their sets of
-    effects, each of which takes a simulation, are not too many.
+    effects, each of which takes a simulation, are not too many. They stand for what adds nothing
+    to them, and share its probability.
     """
     rivals = {tuple(sorted(effects)) for effects in judgement.leading[: ADVICE.most_rivals]}
     sets, likely = {(), *rivals}, []
@@ -447,4 +471,12 @@ def _likely(judgement: Judgement) -> list[tuple[Hypothesis, float]]:
         if leads or (share >= ADVICE.likely and affordable):
             sets.add(effects)
             likely.append((each, share))
-    return likely
+    group_of, parts = judgement.group_of, dict.fromkeys(judgement.group_of.values(), 0.0)
+    for hypothesis, share in likely:
+        parts[group_of[hypothesis.name]] += share
+    wholes = {head.name: whole for head, whole in judgement.groups}
+    heads = [group_of[hypothesis.name] for hypothesis, _ in likely]
+    return [
+        (hypothesis, share * wholes[head] / parts[head])
+        for (hypothesis, share), head in zip(likely, heads, strict=True)
+    ]

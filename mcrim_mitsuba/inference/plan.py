@@ -308,7 +308,15 @@ def _rehearsed(planning: Planning, proposed: Campaign, fit: Calibration, run: Ru
         planning,
         capability=capability,
         titles={name: effect.title for name, effect in possible.items()},
-        notes=tuple(dict.fromkeys((*planning.notes, *simulations.provenance().notes))),
+        notes=tuple(
+            dict.fromkeys(
+                (
+                    *planning.notes,
+                    *(f"{n} was not tried: {why}" for n, why in simulations.not_tried.items()),
+                    *simulations.provenance().notes,
+                )
+            )
+        ),
     )
 
 

@@ -432,6 +432,9 @@ class VerdictSettings:
     left: float = 0.05
     #: Explanations that a sentence names.
     most_named: int = 4
+    #: Of a fit's misfit by chance, below which its effects do not lead beside others that explain
+    #: the readings.
+    refused: float = 1e-3
     #: Probability from which an effect counts as one that the diagnosis rests on.
     likely: float = 0.01
 

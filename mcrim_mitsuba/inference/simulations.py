@@ -15,6 +15,7 @@ import numpy as np
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.entries import NEXT_MINUTES, NEXT_SIGMA
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE, Reading
+from mcrim_mitsuba.campaign.treatments import states
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, SOURCE_Z, Value
@@ -73,6 +74,9 @@ class MeasurementProposals:
     comments: Mapping[str, str] = field(default_factory=dict)
     #: The scene's own values, from which nothing is changed.
     own: Mapping[str, Value] = field(default_factory=dict)
+    #: What rows switch, as all of these of light have it, in words; and the parameters that do it.
+    switched: Sequence[str] = ()
+    switched_by: Collection[str] = ()
 
     def predict(self, effects: tuple[str, ...], thetas: Array, rows: Sequence[int]) -> Array:
         """(points, m + rows) signals of the model with these effects at (points, free) parameters.
@@ -168,6 +172,8 @@ class CampaignSimulations:
         self._beyond = Beyond()
         self._fit: Calibration | None = None
         self.notes: list[str] = []
+        #: Effects that the scene cannot take, with the reason; filled by `possible`.
+        self.not_tried: dict[str, str] = {}
 
     def of(self, campaign: Campaign) -> CampaignSimulations:
         """Those of a campaign with the same configurations, which go on from here."""
@@ -361,7 +367,16 @@ class CampaignSimulations:
             minutes=self.campaign.next_measurements.get(NEXT_MINUTES, {}),
             comments={n: known.comment for n, known in self.campaign.scene.defaults.items()},
             own={**BEAM_PARAMETERS, **self.campaign.values},
+            switched=states(self.campaign),
+            switched_by=self._switched_by,
         )
+
+    @property
+    def _switched_by(self) -> tuple[str, ...]:
+        """Scene parameters by which rows switch something."""
+        measured = self.campaign.measurements
+        names = dict.fromkeys(name for row in measured.readings for name in row.parameters)
+        return tuple(name for name in names if name not in measured.columns)
 
     def _repeated(self) -> Models:
         """Models of the campaign's readings, as if they were made now, after all others."""
@@ -440,12 +455,25 @@ class CampaignSimulations:
                 for row in measured
             )
 
+        light = [reading for reading in campaign.measurements.readings if not reading.of_beam]
         # what rows switch stays as in the first: all of it at once may be no bench of theirs
-        first = next((r for r in campaign.measurements.readings if not r.of_beam), None)
-        switched = {} if first is None or first.sample else first.parameters
-        columns = campaign.measurements.columns
-        as_first = {name: value for name, value in switched.items() if name not in columns}
-        found = [{**as_first, **p} for p in buildable(campaign)]
+        switched = light[0].parameters if light and not light[0].sample else {}
+        as_first = {
+            name: switched.get(name, scene[name])
+            for name in self._switched_by
+            # a treatment's size is fitted where it is on
+            if name in switched or isinstance(scene.get(name), str)
+        }
+        # what rows say is told, though it be the scene's value
+        varied = {
+            name: scene[name]
+            for name in campaign.measurements.columns
+            if name in scene and any(r.parameters.get(name) != scene[name] for r in light)
+        }
+        found = [
+            {**p, **{n: v for n, v in {**varied, **as_first}.items() if n not in p}}
+            for p in buildable(campaign)
+        ]
         found = [p for p in found if new(p)]
         if len(found) > EXTENT.most_proposals:
             self.notes.append(
@@ -502,7 +530,7 @@ class CampaignSimulations:
             except BrokenEffectError:
                 raise
             except InputError as error:
-                self.notes.append(f"{name} was not tried: {error.problem}")
+                self.not_tried[name] = error.problem
                 continue
             found[name] = effect
         return found

@@ -452,9 +452,15 @@ def candidates_table(diagnosis: Diagnosis, candidates: Sequence[Candidate], head
 
 
 def explanation_tables(diagnosis: Diagnosis) -> list[Table]:
-    """Effects alone and in pairs, the best first."""
-    alone = candidates_table(diagnosis, diagnosis.candidates, "effects, each added alone")
-    return [alone, candidates_table(diagnosis, diagnosis.pairs, "the best pairs of effects")]
+    """Effects alone and in pairs, the likeliest first."""
+    alone, pairs = (
+        sentences.likeliest_first(diagnosis, tried)
+        for tried in (diagnosis.candidates, diagnosis.pairs)
+    )
+    return [
+        candidates_table(diagnosis, alone, "effects, each added alone"),
+        candidates_table(diagnosis, pairs, "the best pairs of effects"),
+    ]
 
 
 def explanation_pieces(diagnosis: Diagnosis) -> list[Piece]:
@@ -492,8 +498,9 @@ def others_table(diagnosis: Diagnosis, simulated: Calibration, effects: tuple[st
 
 def _brief(effects: Table, diagnosis: Diagnosis) -> Iterator[Piece]:
     """A table of effects, ids in its last column, of which likely ones are seen; how many not."""
-    unlikely = diagnosis.candidates[sentences.MOST_EFFECTS :]
-    unlikely += diagnosis.pairs[sentences.MOST_PAIRS :]
+    ranked = sentences.likeliest_first(diagnosis, diagnosis.candidates)
+    unlikely = ranked[sentences.MOST_EFFECTS :]
+    unlikely += sentences.likeliest_first(diagnosis, diagnosis.pairs)[sentences.MOST_PAIRS :]
     leading = {candidate.effect for candidate in sentences.leading_candidates(diagnosis)}
     hidden = {candidate.effect for candidate in unlikely} - leading
     named = [(line, str(line.cells[-1].value).partition(".")[0]) for line in effects.rows]
@@ -598,6 +605,7 @@ def of_repair(diagnosis: results.RepairResult, *, with_steps: bool = True) -> De
         strong(sentences.set_aside_text(diagnosis)),
         undetermined,
         outcome,
+        (f"not tried: {effect}" for effect in sentences.not_tried(diagnosis)),
         **_spent(diagnosis),
     )
 

@@ -33,6 +33,7 @@ from mcrim_mitsuba.output.sentences import (
     added_text,
     estimate_text,
     leading_candidates,
+    likeliest_first,
     plausibility,
     short_headline,
     size_text,
@@ -83,7 +84,8 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
             (candidate.light_yield_ph_per_keV or {}).get("value"),
             " ".join(candidate.mimics),
         )
-        for candidate in (*diagnosis.candidates, *diagnosis.pairs)
+        for tried in (diagnosis.candidates, diagnosis.pairs)
+        for candidate in likeliest_first(diagnosis, tried)
         for size in [(n, e.value, e.sigma) for n, e in candidate.sizes.items()] or no_size
     ]
     columns = (
@@ -131,13 +133,14 @@ def _rows(diagnosis: Diagnosis) -> list[list[_Row]]:
         return _Row(title(candidate.effects), p, candidate in leading, candidate)
 
     singles, pairs = (
-        list(map(row, tried)) for tried in (diagnosis.candidates, diagnosis.pairs[:MOST_PAIRS])
+        list(map(row, likeliest_first(diagnosis, tried)))
+        for tried in (diagnosis.candidates, diagnosis.pairs)
     )
+    del pairs[MOST_PAIRS:]
     for name, words in NO_EFFECTS.items():
         p = probabilities.get(name)
         if p is not None and p >= _LEAST_PROBABILITY and (singles or pairs):
-            above = [i for i, row in enumerate(singles) if row.probability and row.probability > p]
-            singles.insert(max(above, default=-1) + 1, _Row(capital(words), p))
+            singles.append(_Row(capital(words), p))
     effects = {candidate.effect for candidate in diagnosis.candidates}
     for name, p in probabilities.items():
         causes = name.split(" + ")
@@ -145,7 +148,7 @@ def _rows(diagnosis: Diagnosis) -> list[list[_Row]]:
         if p >= _LEAST_BESIDES and effects & {*causes} and not effects >= {*causes}:
             pairs.append(_Row(title(causes), p))
     likeliest = sorted([*singles, *pairs], key=lambda row: -(row.probability or 0.0))[:_MOST_ROWS]
-    return [[row for row in rows if row in likeliest] for rows in (singles, pairs)]
+    return [[row for row in likeliest if row in rows] for rows in (singles, pairs)]
 
 
 @style.styled

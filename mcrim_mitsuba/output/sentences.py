@@ -139,6 +139,11 @@ def leading_candidates(diagnosis: Diagnosis) -> list[Candidate]:
     return [candidate for candidate in map(diagnosis.candidate, settled) if candidate is not None]
 
 
+def likeliest_first(diagnosis: Diagnosis, tried: Iterable[Candidate]) -> list[Candidate]:
+    """Effects or pairs by their probabilities, those too unlikely to have one as they came."""
+    return sorted(tried, key=lambda c: -diagnosis.probabilities.get(c.effect, 0.0))
+
+
 def signal_text(of_beam: bool, value: float, sigma: float | None) -> str:
     """A reading or what predicts it, transmittances in per cent: ``(76.0 ± 1.2) %``."""
     if not of_beam:
@@ -276,17 +281,17 @@ def capability_text(result: Diagnosis | Planning, readings: str = "such readings
     if can is None or not can.named:
         return ""
     often = sorted((n for n, p in can.named.items() if p > 0.5), key=lambda n: -can.named[n])
-    words = (
-        f"{len(often)} of {counted(len(can.named), 'effect')} in more than half of all campaigns"
-    )
+    words = f"What {readings} can say: of {counted(len(can.named), 'effect')} of usual sizes they "
+    words += f"would name {len(often)} more often than not"
     if often:
         pairs = zip(often, titles_of(result, often), strict=True)
         first = [f"{title} {probability(can.named[name])}" for name, title in pairs]
         words += f" ({', '.join(first[:MOST_NAMED])}{', ...' if len(first) > MOST_NAMED else ''})"
-    error = can.light_yield_sigma
-    light = "" if error is None else f"; the light yield to {percent(error)}, but for the detector"
-    words += f", and another one in {probability(can.false)}{light}"
-    return f"What {readings} can say of effects of usual sizes: they name {words}."
+    words += f". A wrong one would be named in {probability(can.false)} of all campaigns"
+    if can.light_yield_sigma is not None:
+        words += f"; the light yield would be known to {percent(can.light_yield_sigma)}"
+        words += ", the detector's efficiency not counted"
+    return f"{words}."
 
 
 def mistakable(diagnosis: Diagnosis) -> str:
@@ -300,14 +305,17 @@ def mistakable(diagnosis: Diagnosis) -> str:
     others = [name for name in likeliest_first if name in mimics and name not in leading_effects]
     if not others:
         return ""
-    # a few more are named, too
-    shown = others if len(others) <= MOST_NAMED + 2 else others[:MOST_NAMED]
-    alternatives = titles_of(diagnosis, shown)
-    if len(shown) < len(others):
-        alternatives.append(f"{len(others) - len(shown)} others")
-    words = in_words(diagnosis, leading_effects)
+    words = together(_some(diagnosis, list(leading_effects)))
     words += f" could be mistaken for {'each other and for ' if len(leading) > 1 else ''}"
-    return f"By these readings {words}{together(alternatives, 'or')}."
+    return f"By these readings {words}{together(_some(diagnosis, others), 'or')}."
+
+
+def _some(diagnosis: Diagnosis, names: Sequence[str]) -> list[str]:
+    """Titles of the first of some effects, and how many others there are."""
+    # a few more are named, too
+    shown = names if len(names) <= MOST_NAMED + 2 else names[:MOST_NAMED]
+    left = len(names) - len(shown)
+    return titles_of(diagnosis, shown) + ([f"{left} others"] if left else [])
 
 
 def told_apart(diagnosis: Diagnosis, measurement: NextMeasurement) -> list[str]:

@@ -664,8 +664,8 @@ def test_what_matters_is_shown_and_the_rest_is_counted():
     # what leads is shown wherever it stands
     many = (*(by.candidate((name,), 1.0, {}) for name in effects), by.CANDIDATES[0])
     limits = dict.fromkeys((*effects, by.FIRST), by.diagnosis("adequate").upper_limits[by.OFF])
-    of_all = by.diagnosis("missing_effect", candidates=many, upper_limits=limits)
-    shown = shown_of(of_all)
+    changed = {"candidates": many, "upper_limits": limits, "probabilities": {"none": 1.0}}
+    shown = shown_of(by.diagnosis("missing_effect", **changed))
     text = description.text(shown, 100)
     (more,) = {line for line in text.split("\n") if line.startswith("and ")}
     assert more.startswith("and 18 more, less likely than these: the file of --json has all 31")

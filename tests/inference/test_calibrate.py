@@ -368,3 +368,15 @@ def test_old_names_of_effects_lead_to_the_numbers(wide):
     }.items():
         found = diagnose(simulations, only=[name])
         assert sorted(each.effect for each in found.candidates) == others
+
+
+def test_what_a_scene_cannot_take_is_told_with_the_reason(scenes, tmp_path):
+    """The notes said so, and `not_tried` was empty."""
+    path = tmp_path / "wrapped.toml"
+    path.write_text(
+        f'scene = "{scenes}/camoo4_wrapped.xml"\nmeasurements = "{scenes}/camoo4_measured.csv"\n'
+        "[parameters.alpha_scat_per_cm]\nstart = 0.5\n"
+    )
+    found = diagnose(CampaignSimulations(read_campaign(path), Run(512, check=False)))
+    assert found.not_tried["top_reflector"] == "wrapping covers the top already"
+    assert found.titles["top_reflector"] == "reflector on the top face"

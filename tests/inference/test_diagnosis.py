@@ -440,6 +440,32 @@ def test_what_only_the_simulations_error_lets_lead_is_named_apart(monkeypatch):
         assert verdict.unsettled == (("source",),) and ("haze",) not in verdict.leading
 
 
+@pytest.mark.parametrize("best", [0.5, 1e-5])
+def test_what_the_readings_refuse_leads_only_beside_its_like(best):
+    """A mask off its axis led that gained nothing: larger errors explained the readings."""
+    p_values = {("bubble",): best, ("mask",): 1e-5, ("top",): 1e-4}
+    explanations = SimpleNamespace(
+        fit=lambda key: SimpleNamespace(chi2=5.0, ndf=3, p_value=p_values[key]),
+        possible=lambda key: True,
+    )
+    of_scale = {"log_scale": 0.0, "log_scale_sigma": 0.1, "evidence": object()}
+    hypotheses = tuple(
+        Hypothesis(effects=key, besides=besides, log_weight=log, p_value=p, **of_scale)
+        for key, besides, log, p in (
+            (("bubble",), (), 0.0, best),
+            (("mask",), ("understated errors",), -2.0, 0.6),
+            (("top",), (), -5.0, 1e-4),
+        )
+    )
+    shares = softmax([hypothesis.log_weight for hypothesis in hypotheses])
+    judge = Judgement(explanations, None, SimpleNamespace(hypotheses=hypotheses, shares=shares))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(judgement, "error_of_difference", lambda fit, best: 8.5)
+        described = best > 1e-3
+        assert judge.leading == ((("bubble",),) if described else (("bubble",), ("mask",)))
+        assert judge.unsettled == (() if described else (("top",),))
+
+
 def test_hypotheses_that_differ_by_rounding_only_keep_their_order():
     """Two wrong readings of a symmetric campaign: the order is not the processor's."""
     bad = [

@@ -25,6 +25,7 @@ from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 from mcrim_mitsuba.output import budget_figures as budget
+from mcrim_mitsuba.output import describe_campaign as describe
 from mcrim_mitsuba.output import diagnosis_figures as staircase
 from mcrim_mitsuba.output import figure_style
 from mcrim_mitsuba.output import fit_figures as comparison
@@ -297,6 +298,17 @@ def test_few_rows_and_few_steps_are_drawn_clearly():
     assert len(drawing.rows) == 2
     alone = staircase.draw_staircase(by.STEPS[:1]).figure
     assert not alone.axes and "nothing was added" in alone.texts[0].get_text()
+
+
+def test_rows_and_bars_are_in_the_order_of_their_probabilities():
+    """Bars of 39, 3, 3, 3, 8 and 6 % stood in the order of another number."""
+    likely = {by.SECOND: 0.6, "unknown": 0.2, "gap_absorption": 0.15, by.FIRST: 0.05}
+    found = by.diagnosis("ambiguous", probabilities=likely)
+    axes = staircase.draw_ranking(found).figure.axes[0]
+    assert [text.get_text() for text in axes.texts] == ["60 %", "20 %", "15 %", "5 %"]
+    alone, _ = describe.explanation_tables(found)
+    ids = [by.SECOND, "gap_absorption", by.FIRST, by.OFF]
+    assert [row.cells[-1].value for row in alone.rows] == ids
 
 
 def test_error_bars_now_and_after_the_next_reading():
