@@ -140,6 +140,9 @@ def test_the_story_is_told_in_order_with_the_numbers_of_the_fit(made, parsed):
         assert re.fullmatch("[0-9a-f]{64}", digest) and digest in shown
     assert f"{found['photons']:,}, seed 0" in shown
     assert found["verdict"] == "ambiguous" and f"Ambiguous: {found['reason']}" in shown
+    # all that is proposed stands in the section of that name, not behind the repair
+    following = parsed.get_element_by_id("next").xpath(".//table//tr")
+    assert len(following) == 2 and "1 h" in following[1].text_content()
     pictures = {e.get("id") for e in parsed.iter("figure")}
     assert {
         f"figure-{n}"
