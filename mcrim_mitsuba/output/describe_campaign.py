@@ -593,7 +593,7 @@ def of_repair(diagnosis: results.RepairResult, *, with_steps: bool = True) -> De
         ]
     return described(
         "a campaign, mended",
-        strong(sentences.averaged_yield(diagnosis)),
+        strong(sentences.averaged_yield(diagnosis, fit, diagnosis.effects)),
         steps_table(diagnosis.repair) if with_steps else None,
         strong(sentences.headline(diagnosis)),
         suspects_pieces(diagnosis.suspect_readings),
@@ -646,7 +646,7 @@ def of_report(report: results.ReportResult) -> Description:
     return described(
         "report of a campaign",
         strong(report.sections.headline),
-        strong(sentences.averaged_yield(report)),
+        strong(sentences.averaged_yield(report, report.calibration, report.effects)),
         parameters_table(report.parameters, profiles),
         _shapes(profiles),
         **_spent(report),

@@ -26,7 +26,7 @@ from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output.describe_campaign import others_table
 from mcrim_mitsuba.output.report import in_full, said, visible
 from mcrim_mitsuba.output.report_sections import changed
-from mcrim_mitsuba.output.sentences import headline
+from mcrim_mitsuba.output.sentences import averaged_yield, headline
 
 MB = 1_000_000
 SCRIPT = "<script>window.hacked = 1</script>"
@@ -173,6 +173,11 @@ def test_the_verdict_has_the_numbers_of_the_fit_that_is_quoted():
     assert words == "Ambiguous: A and B may; more"
     (row, _) = others_table(diagnosis("ambiguous"), simulated, (FIRST,)).rows
     assert row.cells[1].text == "7.52 ± 0.22"
+    # and the yield beside the one to quote
+    light = {"light_yield_ph_per_keV": estimate(7.61, 0.22)}
+    for effects, best in ((FIRST,), "7.61 ± 0.22"), ((SECOND,), "7.52 ± 0.20"):
+        words = averaged_yield(diagnosis("ambiguous"), calibration(light), effects)
+        assert words.endswith(f"gives {best} with absorbing crystal surface (70 %)"), words
 
 
 def test_files_are_inside_as_they_were_read(made, parsed):
