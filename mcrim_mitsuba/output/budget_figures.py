@@ -254,6 +254,8 @@ _LINES = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5)))
 _Couplings = tuple[int, ...]
 #: Curves that differ by no more than this part of themselves are drawn as one.
 _ON_EACH_OTHER = 0.06
+#: A set whose error is as many times that of the best, and the wanted one, is of no use to anybody.
+_USELESS = 3.0
 
 
 @style.styled
@@ -262,6 +264,7 @@ def draw_plan(planning: Planning) -> style.Drawing:
 
     Drawn are the statistical part and the whole, for the number of mountings that the verdict
     names, of the sets of couplings that bring most, one for all whose curves lie on each other.
+    Sets of no use, beside which others' curves would not be told apart, are left out and counted.
     """
     figure = style.canvas(10.4, 4.6)
     statistical, total = figure.subplots(1, 2)
@@ -278,8 +281,11 @@ def draw_plan(planning: Planning) -> style.Drawing:
         * np.array([(p.light_yield.statistical, p.light_yield.total) for p in plans[couplings]]).T
         for couplings in best
     }
+    least = min(curve[1].min() for curve in curves.values())
+    most = _USELESS * max(100.0 * planning.wanted, least)
+    useful = {couplings: curve for couplings, curve in curves.items() if curve[1].min() < most}
     looks = itertools.product(_LINES, _COLOURS)
-    drawn = _without_covered(curves)
+    drawn = _without_covered(useful)
     for (couplings, covered), (line, colour) in zip(drawn.items(), looks, strict=False):
         look = {"color": colour, "ls": line, "lw": 1.6, "marker": "o", "ms": 3.5}
         events = [plan.events for plan in plans[couplings]]
@@ -288,8 +294,10 @@ def draw_plan(planning: Planning) -> style.Drawing:
         statistical.plot(events, curves[couplings][0], label=label, **look)
         total.plot(events, curves[couplings][1], **look)
     _finish_plan(statistical, total, planning.wanted)
-    times = counted(mountings, "mounting")
-    figure.suptitle(f"{times} of each coupling", x=0.01, ha="left", fontsize=11)
+    words = f"{counted(mountings, 'mounting')} of each coupling"
+    if useless := len(curves) - len(useful):
+        words += f"; not drawn: {counted(useless, 'set')} with errors above {most:.0f} %"
+    figure.suptitle(words, x=0.01, ha="left", fontsize=11)
     figure.legend(loc="outside right upper", fontsize=9, frameon=False, handlelength=3.4)
     numbers = style.numbers_of(
         planning.plans,
@@ -318,8 +326,10 @@ def _without_covered(curves: dict[_Couplings, np.ndarray]) -> dict[_Couplings, i
 
 def _finish_plan(statistical: Axes, total: Axes, wanted: float) -> None:
     """Axes, titles and a line at the wanted error of the light yield, a fraction of it."""
+    label = f"wanted: {percent(wanted)}"  # in the legend, where it hides no curve
     for axes, title in ((statistical, "statistical part"), (total, "statistical and systematic")):
-        axes.axhline(100 * wanted, color=style.GREY, lw=1, ls="--", zorder=1)
+        axes.axhline(100 * wanted, color=style.GREY, lw=1, ls="--", zorder=1, label=label)
+        label = ""
         axes.set(xscale="log", xlabel="events in the band, per mounting")
         axes.set_title(title, loc="left", fontsize=11)
         style.open_axes(axes)
@@ -329,6 +339,3 @@ def _finish_plan(statistical: Axes, total: Axes, wanted: float) -> None:
     statistical.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 4, 5, 7)))
     statistical.yaxis.set_minor_formatter("{x:g}")
     total.set_ylim(bottom=0)
-    look: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": 9.5, "color": style.GREY}
-    look |= {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
-    total.annotate(f"wanted: {percent(wanted)}", (0.99, 100 * wanted), (0, -3), **look)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.campaign.tolerances import USUAL
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT, titled
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, titled
 from mcrim_mitsuba.core.rounding import (
     capital,
     counted,
@@ -49,6 +49,8 @@ from mcrim_mitsuba.output.description import (
     strong,
     table,
 )
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.scene.shipped import scene_path
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.inference.budget import Budget
@@ -598,7 +600,7 @@ def of_repair(diagnosis: results.RepairResult, *, with_steps: bool = True) -> De
         ]
     return described(
         "a campaign, mended",
-        strong(sentences.averaged_yield(diagnosis)),
+        strong(sentences.averaged_yield(diagnosis, fit, diagnosis.effects)),
         steps_table(diagnosis.repair) if with_steps else None,
         strong(sentences.headline(diagnosis)),
         suspects_pieces(diagnosis.suspect_readings),
@@ -652,7 +654,7 @@ def of_report(report: results.ReportResult) -> Description:
     return described(
         "report of a campaign",
         strong(report.sections.headline),
-        strong(sentences.averaged_yield(report)),
+        strong(sentences.averaged_yield(report, report.calibration, report.effects)),
         parameters_table(report.parameters, profiles),
         _shapes(profiles),
         **_spent(report),
@@ -673,7 +675,11 @@ def of_budget(errors: results.BudgetResult) -> Description:
     main = next((name for name in (LIGHT_YIELD, SCALE) if name in budgets), None)
     # a standard error knows nothing of the bound
     at_bound = "" if budgets else "A parameter ended at its bound: no budget."
-    columns = (Column(name, left=True) for name in ("cause", "what it does", "how much"))
+    bench, scene = read_scene(scene_path("camoo4.xml")), errors.fit.model.campaign.scene.parameters
+    numbers = bench.parameters.keys() - {ALPHA_SCAT, ALPHA_ABS}
+    articles = all(scene.get(name) == bench.parameters[name] for name in numbers)
+    how_much = "how much" if articles else "how much, on the article's bench"
+    columns = (Column(name, left=True) for name in ("cause", "what it does", how_much))
     return described(
         "error budget of a campaign",
         contributions_table("where the errors come from, in the model as it is", budgets),
@@ -683,7 +689,7 @@ def of_budget(errors: results.BudgetResult) -> Description:
         _totals(errors),
         _corrections(errors),
         _places(errors),
-        table("neither modelled nor in any error", columns, not_modelled()),
+        table("neither modelled nor in any error", columns, not_modelled(articles)),
         **_spent(errors),
     )
 
@@ -771,15 +777,22 @@ def _totals(errors: Budget) -> Iterator[Piece]:
     if not errors.totals:
         return
     corrected = errors.together is not None
-    columns = ["quantity", "as fitted", "and what is left out for good"]
-    rows = []
-    for name in errors.main:
-        total = errors.totals[name]
-        sigmas = (total.sigma, total.sigma_with_neglected)
-        cells = [_title(name), *(_two_digits(total.value, sigma) for sigma in sigmas)]
-        cells += [_two_digits(total.corrected, total.corrected_sigma)] if corrected else []
-        rows.append(cells)
-    yield table("results, with all errors", [*columns, *["corrected"] * corrected], rows)
+    totals = {name: errors.totals[name] for name in errors.main}
+    columns = {
+        "as fitted": [_two_digits(t.value, t.sigma) for t in totals.values()],
+        "and what is left out for good": [
+            _two_digits(t.value, t.sigma_with_neglected) for t in totals.values()
+        ],
+    }
+    as_fitted, lasting = ([cell.text for cell in cells] for cells in columns.values())
+    if as_fitted == lasting:
+        del columns["and what is left out for good"]
+    if corrected:
+        columns["corrected"] = [
+            _two_digits(t.corrected, t.corrected_sigma) for t in totals.values()
+        ]
+    rows = zip(map(_title, totals), *columns.values(), strict=True)
+    yield table("results, with all errors", ["quantity", *columns], rows)
     yield sentences.which_eta(errors.fit)
     if corrected:
         yield (
@@ -803,10 +816,14 @@ def _corrections(errors: Budget) -> Table | None:
     return table("the absolute light yield", columns, rows)
 
 
-def not_modelled() -> list[tuple[str, str, str]]:
-    """Causes, what they do and how much: rows of a table that says what is left out altogether."""
+def not_modelled(articles: bool = True) -> list[tuple[str, str, str]]:
+    """Causes, what they do and how much: rows of a table that says what is left out altogether.
+
+    Of another bench than the `articles` those are left out that only this has.
+    """
     text = Path(__file__).with_name("not_modelled.toml").read_text(encoding="utf-8")
-    return list(map(tuple, tomllib.loads(text)["causes"]))
+    causes = tomllib.loads(text)["causes"]
+    return [(what, does, much) for what, does, much, *own in causes if articles or not own]
 
 
 def _places(errors: Budget) -> Iterator[Piece]:

@@ -213,11 +213,14 @@ def likeliest_of(diagnosis: Diagnosis) -> Candidate | None:
     return next((candidate for candidate in tried if candidate.effect == name), None)
 
 
-def averaged_yield(diagnosis: Diagnosis) -> str:
+def averaged_yield(
+    diagnosis: Diagnosis, simulated: Calibration | None = None, effects: tuple[str, ...] = ()
+) -> str:
     """The light yield over all that the readings allow, and beside it that of the best fit.
 
-    The best fit has the likeliest effects, if it is effects that are likeliest. Empty where the
-    campaign does not say how to get the light yield.
+    The best fit has the likeliest effects, if it is effects that are likeliest; where these are the
+    `effects` that were added, it is that of their simulation. Empty where the campaign does not say
+    how to get the light yield.
     """
     averaged = diagnosis.light_yield_averaged
     if averaged is None:
@@ -229,6 +232,8 @@ def averaged_yield(diagnosis: Diagnosis) -> str:
     if likeliest is not None:
         if light := likeliest.light_yield_ph_per_keV:
             best = pdg(light["value"], light["sigma"])
+        if simulated is not None and {*effects} == {*likeliest.effects}:
+            best = estimate_text(simulated.parameters[LIGHT_YIELD])
         best += f" with {in_words(diagnosis, likeliest.effects)} {likely}"
     elif name == NOTHING_MISSING:
         best += f" with nothing missing {likely}"

@@ -28,6 +28,7 @@ from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.optics.dispersion import extraordinary_index, indices_of_light, orientation_sigma
 from mcrim_mitsuba.optics.emission_band import indices_over_band
 from mcrim_mitsuba.optics.spectrum import Spectrum
+from mcrim_mitsuba.output import describe_campaign
 from mcrim_mitsuba.output.budget_figures import draw_neglected
 from mcrim_mitsuba.output.campaign_results import BudgetResult
 from mcrim_mitsuba.output.describe_campaign import not_modelled, of_budget
@@ -209,6 +210,21 @@ def test_what_the_absolute_light_yield_is_multiplied_with(campaign, found, scene
     table = of_budget(result).parts[-1]
     assert table.title == "neither modelled nor in any error"
     assert [tuple(cell.text for cell in row.cells) for row in table.rows] == not_modelled()
+
+
+def test_another_bench_hears_nothing_of_the_articles(campaign, found, scenes, monkeypatch):
+    """Nor of what is left out for good, in a column that says the same as the one before."""
+    exact = {name: replace(total, neglected_sigma=0.0) for name, total in found.totals.items()}
+    result = BudgetResult.of(replace(found, totals=exact), campaign, found.provenance)
+    totals = of_budget(result).tables["results, with all errors"]
+    titles = [column.title for column in totals.columns]
+    assert titles == ["quantity", "as fitted", "corrected"]
+    monkeypatch.setattr(describe_campaign, "scene_path", lambda _: scenes / "lyso_esr.xml")
+    others = of_budget(result).parts[-1]
+    assert others.columns[-1].title == "how much, on the article's bench"
+    causes = [row.cells[0].text for row in others.rows]
+    assert len(causes) == len(not_modelled()) - 3
+    assert not any(word in cause for cause in causes for word in ("wires", "concave", "dichroism"))
 
 
 def test_the_collection_has_a_row_of_its_own(campaign):

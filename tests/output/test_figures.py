@@ -4,6 +4,7 @@ import csv
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import findings_by_hand as by
 import numpy as np
@@ -345,3 +346,30 @@ def test_profile_crossings_are_none_where_the_curve_ends():
     )
     assert profile.crossings(1) == pytest.approx((1.5, 2.5))
     assert profile.crossings(5) == (None, None)
+
+
+def test_a_useless_set_of_couplings_squeezes_no_other():
+    """Errors of 6 to 15 % lay on each other below a pair that leaves 112 %; a label lay on them."""
+    plans = [
+        SimpleNamespace(
+            configurations=couplings,
+            mountings=8,
+            events=events,
+            hours=1.0,
+            light_yield=SimpleNamespace(
+                statistical=error / 2, systematic=error / 2, total=error, of_plan=error
+            ),
+            alpha_scat=None,
+        )
+        for couplings, error in (((0, 1), 0.065), ((0, 2), 0.14), ((1, 2), 1.12))
+        for events in (1e3, 1e4)
+    ]
+    named = {"cheapest": plans[0], "cheapest_statistical": None, "wanted": 0.07, "name": str}
+    drawing = budget.draw_plan(SimpleNamespace(plans=plans, **named))
+    _, total = drawing.figure.axes
+    assert total.get_ylim()[1] < 20 and not total.texts
+    assert "not drawn: 1 set with errors above 21 %" in drawing.figure.get_suptitle()
+    (legend,) = drawing.figure.legends
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert labels == ["(0, 1)", "(0, 2)", "wanted: 7.0 %"]
+    assert len(drawing.rows) == len(plans)  # the numbers have all

@@ -26,7 +26,7 @@ from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output.describe_campaign import others_table
 from mcrim_mitsuba.output.report import in_full, said, visible
 from mcrim_mitsuba.output.report_sections import changed
-from mcrim_mitsuba.output.sentences import headline
+from mcrim_mitsuba.output.sentences import averaged_yield, headline
 
 MB = 1_000_000
 SCRIPT = "<script>window.hacked = 1</script>"
@@ -140,6 +140,9 @@ def test_the_story_is_told_in_order_with_the_numbers_of_the_fit(made, parsed):
         assert re.fullmatch("[0-9a-f]{64}", digest) and digest in shown
     assert f"{found['photons']:,}, seed 0" in shown
     assert found["verdict"] == "ambiguous" and f"Ambiguous: {found['reason']}" in shown
+    # all that is proposed stands in the section of that name, not behind the repair
+    following = parsed.get_element_by_id("next").xpath(".//table//tr")
+    assert len(following) == 2 and "1 h" in following[1].text_content()
     pictures = {e.get("id") for e in parsed.iter("figure")}
     assert {
         f"figure-{n}"
@@ -170,6 +173,11 @@ def test_the_verdict_has_the_numbers_of_the_fit_that_is_quoted():
     assert words == "Ambiguous: A and B may; more"
     (row, _) = others_table(diagnosis("ambiguous"), simulated, (FIRST,)).rows
     assert row.cells[1].text == "7.52 ± 0.22"
+    # and the yield beside the one to quote
+    light = {"light_yield_ph_per_keV": estimate(7.61, 0.22)}
+    for effects, best in ((FIRST,), "7.61 ± 0.22"), ((SECOND,), "7.52 ± 0.20"):
+        words = averaged_yield(diagnosis("ambiguous"), calibration(light), effects)
+        assert words.endswith(f"gives {best} with absorbing crystal surface (70 %)"), words
 
 
 def test_files_are_inside_as_they_were_read(made, parsed):
