@@ -16,6 +16,7 @@ from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Provenance, signals_wait
 from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem, problems_of_text
+from mcrim_mitsuba.scene.mesh_file import EXPORT_AGAIN, refuse_broken_meshes
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.xml_tree import PLUGIN_TYPES
 from mcrim_mitsuba.transport.launch_plan import FateTally
@@ -254,6 +255,7 @@ def load_scene(mi, file: SceneFile):
     Raises InputError with the file, line and column that Mitsuba names; if the scene on the disk is
     no longer the one that was read; or if a GPU lacks what traces its rays.
     """
+    refuse_broken_meshes(file)
     try:
         scene = _load(mi, file)
     except InputError:
@@ -290,6 +292,7 @@ def _refusal(text: str, file: SceneFile) -> InputError:
         mend = did_you_mean(unknown["type"], PLUGIN_TYPES.get(unknown["kind"], ()))
     elif refused := _PLUGIN_SAYS.match(cause):
         wrong, _, how = refused["says"].rstrip(".").partition("; ")
+        mend = EXPORT_AGAIN if refused["type"] in ("obj", "ply") else mend
         problem, mend = f"{_plugin_words(refused)}: {wrong}", how or mend
     named = place["file"] if place and place["file"] else ""
     # of a name with blanks this is the end

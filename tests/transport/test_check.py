@@ -169,6 +169,44 @@ def test_a_detector_inside_the_crystal_is_named(tmp_path):
     assert "detector" in str(problem) and "nan" not in str(problem)
 
 
+#: A tetrahedron on z = 2.
+MESH = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 4
+property list uchar int vertex_indices
+end_header
+-3 -3 2
+3 -3 2
+0 3 2
+0 0 8
+3 0 2 1
+3 0 1 3
+3 1 2 3
+3 2 0 3
+"""
+SPHERE = """<shape type="sphere" id="ball">
+    <point name="center" x="1" y="-2" z="3"/>
+    <float name="radius" value="5"/>
+"""
+
+
+@cases("kind", "old", "new", "says", more=[("ply", "", "", "")])
+def test_a_broken_mesh_is_refused_by_its_name(tmp_path, kind, old, new, says):
+    named = f'<shape type="{kind}" id="ball"><string name="filename" value="crystal.{kind}"/>'
+    path = tmp_path / "scene.xml"
+    path.write_text(replaced(SPHERE, named, BALL.read_text()))
+    if old != "no file":
+        text = replaced(old, new, MESH) if old else MESH
+        (tmp_path / f"crystal.{kind}").write_text(text)
+    told = [str(problem) for problem in check_scene(path, light=False).problems]
+    assert len(told) == bool(says), told
+    assert all(f"crystal.{kind}" in line and says in line for line in told), told
+
+
 def test_an_index_left_out_is_missed_where_its_bsdf_is_written(tmp_path):
     path = tmp_path / "scene.xml"
     path.write_text(BROKEN["outer index left out"][0])
