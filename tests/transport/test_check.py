@@ -207,6 +207,16 @@ def test_a_broken_mesh_is_refused_by_its_name(tmp_path, kind, old, new, says):
     assert all(f"crystal.{kind}" in line and says in line for line in told), told
 
 
+def test_mitsubas_warnings_are_notes_and_never_in_standard_output(tmp_path, capfd):
+    """They came before the JSON that was asked for, coloured."""
+    path = tmp_path / "scene.xml"
+    wide = '<shape type="cylinder" id="ball"><transform name="to_world"><scale x="2"/></transform>'
+    path.write_text(replaced(SPHERE, wide, BALL.read_text()))
+    notes = check_scene(path, light=False).notes
+    assert any("Mitsuba warns: [Cylinder] 'to_world' transform" in note for note in notes), notes
+    assert capfd.readouterr().out == ""
+
+
 def test_an_index_left_out_is_missed_where_its_bsdf_is_written(tmp_path):
     path = tmp_path / "scene.xml"
     path.write_text(BROKEN["outer index left out"][0])
