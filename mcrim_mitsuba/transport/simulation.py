@@ -30,7 +30,7 @@ DEFAULT_PHOTONS = 2_000_000
 #: Mitsuba has one log and one list of folders for all threads.
 _ONE_AT_A_TIME = threading.Lock()
 _PLACE = re.compile(r"(?P<file>\S+\.xml)? ?\(line (?P<line>\d+), col (?P<column>\d+)\):? ?")
-_NO_PLUGIN = re.compile(r'(?P<kind>\w+) plugin of type "(?P<type>[^"]*)": .* not found')
+_NO_PLUGIN = re.compile(r'(?P<kind>\w+) plugin of type "(?P<type>[^"]*)": .*Plugin .* not found')
 _NAME = re.compile(
     r'(?P<kind>\w+) plugin of type "(?P<type>\w+)": (\w+|.* property named) "(?P<name>\w+)"'
 )

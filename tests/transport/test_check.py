@@ -207,6 +207,13 @@ def test_a_broken_mesh_is_refused_by_its_name(tmp_path, kind, old, new, says):
     assert all(f"crystal.{kind}" in line and says in line for line in told), told
 
 
+def test_a_crystal_without_a_size_is_no_matter_of_units(tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(replaced('"radius" value="5"', '"radius" value="0"', BALL.read_text()))
+    (problem, *_) = check_scene(path, light=False).problems
+    assert problem.text == "the crystal measures 0 x 0 x 0 mm: it is empty"
+
+
 def test_mitsubas_warnings_are_notes_and_never_in_standard_output(tmp_path, capfd):
     """They came before the JSON that was asked for, coloured."""
     path = tmp_path / "scene.xml"
