@@ -66,7 +66,7 @@ def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckRepo
         problems = _problems_of_detector(simulation)
     path = choose_path(model, simulation.polarization)
     sentences = describe(simulation, faces, path.name)
-    notes = (*file.notes, *model.notes, *simulation.warnings)
+    notes = (*file.notes, *simulation.notes)
     return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences), notes)
 
 

@@ -107,7 +107,7 @@ class Simulation:
         self.variant = variant
         from mcrim_mitsuba.transport.bulk import read_crystal
 
-        self.scene, self.warnings = load_scene(mi, self.file)
+        self.scene, warnings = load_scene(mi, self.file)
         self.integrator = self.scene.integrator()
         if not hasattr(self.integrator, "depth_limit"):
             problem = "the scene has no light collection integrator"
@@ -115,6 +115,14 @@ class Simulation:
         with said_by(self._lacks):
             self.crystal = read_crystal(self.scene)
         self.model = self.crystal.model
+        turned = self.model.turned_from((self.crystal.lower + self.crystal.upper) / 2.0)
+        turn_round = "turns its black back to the crystal: turn it round, or make it twosided"
+        #: What is possible, but seldom meant.
+        self.notes = (
+            *self.model.notes,
+            *(f"{name} reflects at its front alone, and {turn_round}" for name in turned),
+            *warnings,
+        )
         if check:
             from mcrim_mitsuba.transport.check import check_simulation
 
@@ -220,8 +228,7 @@ class Simulation:
             seconds=seconds,
             notes=(
                 *calibration_notes(tally.head_on),
-                *self.model.notes,
-                *self.warnings,
+                *self.notes,
                 *(note for note, holds in notes_if.items() if holds),
                 *notes,
             ),

@@ -214,6 +214,18 @@ def test_a_crystal_without_a_size_is_no_matter_of_units(tmp_path):
     assert problem.text == "the crystal measures 0 x 0 x 0 mm: it is empty"
 
 
+@pytest.mark.parametrize(("angle", "notes"), [(0, 1), (180, 0)])
+def test_a_reflector_that_turns_its_black_back_to_the_crystal_is_noted(tmp_path, angle, notes):
+    """Eta is 0.25 so, and 0.31 the other way round."""
+    foil = f"""<shape type="rectangle" id="foil"><transform name="to_world"><scale value="20"/>
+<rotate x="1" angle="{angle}"/><translate z="12"/></transform><bsdf type="diffuse"/></shape>"""
+    path = tmp_path / "scene.xml"
+    path.write_text(BENCH.replace("</scene>", f"{foil}</scene>"))
+    report = check_scene(path, light=False)
+    assert report.ok
+    assert sum("foil reflects at its front alone" in note for note in report.notes) == notes
+
+
 def test_mitsubas_warnings_are_notes_and_never_in_standard_output(tmp_path, capfd):
     """They came before the JSON that was asked for, coloured."""
     path = tmp_path / "scene.xml"
