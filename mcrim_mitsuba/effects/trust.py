@@ -44,6 +44,8 @@ def refuse_untrusted(folder: Path, path: str | None = None, line: int | None = N
     if content in _allowed_now or content == _of_package() or content in _kept():
         return
     names = ", ".join(sorted(file.name for file in folder.glob("*.py")))
+    if not names:  # nothing would be: that no effect is there is the catalogue's to say
+        return
     error = UntrustedEffectsError(
         f"the Python in {folder} would be executed ({names})",
         "read these files; then say --trust-effects, or trust_effects=True in Python",

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +27,7 @@ from mcrim_mitsuba.reference.faces import (
     with_round_hole,
 )
 from mcrim_mitsuba.scene.check_text import is_filled
+from mcrim_mitsuba.scene.mesh_file import read_mesh
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.xml_tree import Node, three_numbers, transform_matrix
 
@@ -139,46 +139,10 @@ def _mesh(shape: Properties, matrix: Floats) -> list[Face]:
     paths = [folder / shape.text("filename") for folder in (shape.file.path.parent, Path())]
     path = next((path for path in paths if path.is_file()), paths[0])
     try:
-        vertices, facets = (_obj if shape.node.type == "obj" else _ply)(path.read_bytes())
-    except (OSError, ValueError, LookupError, AttributeError):
+        vertices, triangles = read_mesh(path, shape.node.type)
+    except (ValueError, LookupError):
         raise shape.refusal(f"the format of {path.name}") from None
-    # quadrilaterals in two
-    triangles = [(f[0], *pair) for f in facets for pair in itertools.pairwise(f[1:])]
-    return [polygon(_moved(matrix, vertices[list(triangle)])) for triangle in triangles]
-
-
-def _obj(data: bytes) -> tuple[Floats, Sequence[Sequence[int]]]:
-    """Vertices, and of every facet the numbers of its own."""
-    lines = [line.split() for line in data.decode().splitlines()]
-    vertices = np.array([line[1:4] for line in lines if line[:1] == ["v"]], float)
-    facets = [[int(n.split("/")[0]) for n in line[1:]] for line in lines if line[:1] == ["f"]]
-    return vertices, [[n - (n > 0) for n in facet] for facet in facets]
-
-
-_PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
-_PLY_TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2"}
-_PLY_TYPES |= {"uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
-
-
-def _ply(data: bytes) -> tuple[Floats, Sequence[Sequence[int]]]:
-    """As `_obj`: vertices and triangles, in ASCII or binary."""
-    head, _, body = data.partition(b"end_header\n")
-    text = head.decode()
-    kind, (points, count) = text.split()[2], map(int, re.findall(r"element \w+ (\d+)", text))
-    names = re.findall(r"property (\w+) (\w+)\n", text.partition("element face")[0])
-    if kind == "ascii":
-        rows = [line.split() for line in body.decode().splitlines() if line.strip()]
-        vertices = np.array([row[: len(names)] for row in rows[:points]], float)
-        return vertices[:, :3], [[int(n) for n in row[1:]] for row in rows[points:]]
-    order = "<" if "little" in kind else ">"
-    vertex = np.dtype([(name, order + _PLY_TYPES[type_name]) for type_name, name in names])
-    length, number = re.search(r"property list (\w+) (\w+)", text).groups()  # type: ignore[union-attr]
-    facet = np.dtype([("n", order + _PLY_TYPES[length]), ("of", order + _PLY_TYPES[number], 3)])
-    found = np.frombuffer(body, vertex, points)
-    return (
-        np.column_stack([found[axis] for axis in "xyz"]).astype(float),
-        np.frombuffer(body, facet, count, points * vertex.itemsize)["of"].tolist(),
-    )
+    return [polygon(_moved(matrix, vertices[triangle])) for triangle in triangles]
 
 
 # Ours.

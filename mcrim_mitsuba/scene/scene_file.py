@@ -45,7 +45,7 @@ _MOST_SLIPS = 20
 #: Places of parameters, and the characters that they bring.
 _MOST_REFERENCES = 50_000
 _MOST_CHARACTERS = 5_000_000
-_LARGEST_NAMED_FILE_MB = 1000
+LARGEST_NAMED_FILE_MB = 1000
 _MEANT = "is this the scene you meant?"
 #: What other files of this package are, by their endings.
 _OTHERS = {".toml": "a campaign", ".csv": "a table"}
@@ -175,14 +175,15 @@ class SceneFile:
         return tuple(dict.fromkeys([self.path, *self.included, *self._sources, *named]))
 
     def naming(self) -> Iterator[tuple[Node, list[Path]]]:
-        """Elements that name files (meshes, spectra), with these in every folder of Mitsuba's."""
+        """Elements that name files (meshes, spectra), with these in Mitsuba's folders, in order."""
         home = self.path.parent
-        folders = [home, *(home / e.get("value", "") for e in self.root.iter("path")), Path()]
+        named = [home / element.get("value", "") for element in self.root.iter("path")]
+        folders = [*reversed(named), home, Path()]
         for element in self.root.iter("string", "spectrum"):
             text = element.get("value" if element.get("name") == "filename" else "filename")
             if text is not None:
-                named = [folder / text for folder in folders]
-                yield element, [file for file in named if is_there(file) and file.is_file()]
+                files = [folder / text for folder in folders]
+                yield element, [file for file in files if is_there(file) and file.is_file()]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -220,8 +221,8 @@ class SceneFile:
             refused = functools.partial(InputError, path=path, line=line)
             for named in files:
                 try:
-                    if named.stat().st_size > _LARGEST_NAMED_FILE_MB * BYTES_PER_MB:
-                        problem = f"{named} is larger than {_LARGEST_NAMED_FILE_MB} MB"
+                    if named.stat().st_size > LARGEST_NAMED_FILE_MB * BYTES_PER_MB:
+                        problem = f"{named} is larger than {LARGEST_NAMED_FILE_MB} MB"
                         raise refused(problem, "is this the file you meant?")
                     with named.open("rb") as stream:
                         digest.update(hashlib.file_digest(stream, "sha256").digest())

@@ -66,7 +66,7 @@ def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckRepo
         problems = _problems_of_detector(simulation)
     path = choose_path(model, simulation.polarization)
     sentences = describe(simulation, faces, path.name)
-    notes = (*file.notes, *model.notes)
+    notes = (*file.notes, *simulation.notes)
     return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences), notes)
 
 
@@ -118,6 +118,10 @@ def problems_of_crystal(simulation: Simulation) -> list[SceneProblem]:
     """A crystal whose size looks like another unit, whatever the parameters are called."""
     crystal = simulation.crystal
     sizes = crystal.upper - crystal.lower
+    place = simulation.file.place_of_id(simulation.model.volumes[crystal.volume].name)
+    if not sizes.min() > 0.0:
+        text = f"the crystal measures {' x '.join(f'{size:g}' for size in sizes)} mm: it is empty"
+        return [SceneProblem("unit", text, "look for a size or a scale of 0", *place)]
     if sizes.max() < 5 * SHORTEST_PART_MM:
         unit, factor = "metres", 1000.0
     elif sizes.max() > LONGEST_PART_MM:
@@ -126,7 +130,6 @@ def problems_of_crystal(simulation: Simulation) -> list[SceneProblem]:
         return []
     measured, in_mm = (" x ".join(f"{size * by:g}" for size in sizes) for by in (1.0, factor))
     text = f"the crystal measures {measured} in scene units, which are mm; it looks like {unit}"
-    place = simulation.file.place_of_id(simulation.model.volumes[crystal.volume].name)
     return [SceneProblem("unit", text, f"write lengths in mm: {in_mm}", *place)]
 
 

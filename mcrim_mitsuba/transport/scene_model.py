@@ -370,6 +370,17 @@ class SceneModel:
         """Names of the detectors, by number."""
         return [surface.name for surface in self.surfaces if surface.kind == DETECTOR]
 
+    def turned_from(self, point: np.ndarray) -> list[str]:
+        """Names of reflectors of which a point, shape (3,), mm, sees the black back alone."""
+        one_sided = {
+            number: surface.name
+            for number, surface in enumerate(self.surfaces)
+            if surface.kind == DIFFUSE and surface.reflectance and not surface.two_sided
+        }
+        seen = {f.surface for f in self.flat_faces if f.normal @ (point - f.corner) > 0.0}
+        flat = {face.surface for face in self.flat_faces}
+        return [one_sided[number] for number in sorted(one_sided.keys() & flat - seen)]
+
     def bordering(self, volume: int) -> list[int]:
         """Indices of the surfaces that border a volume."""
         return [i for i, surface in enumerate(self.surfaces) if volume in surface.sides]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Provenance, signals_wait
 from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem, problems_of_text
+from mcrim_mitsuba.scene.mesh_file import EXPORT_AGAIN, refuse_broken_meshes
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.xml_tree import PLUGIN_TYPES
 from mcrim_mitsuba.transport.launch_plan import FateTally
@@ -25,8 +27,10 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.transport.collection import Launcher
 
 DEFAULT_PHOTONS = 2_000_000
+#: Mitsuba has one log and one list of folders for all threads.
+_ONE_AT_A_TIME = threading.Lock()
 _PLACE = re.compile(r"(?P<file>\S+\.xml)? ?\(line (?P<line>\d+), col (?P<column>\d+)\):? ?")
-_NO_PLUGIN = re.compile(r'(?P<kind>\w+) plugin of type "(?P<type>[^"]*)": .* not found')
+_NO_PLUGIN = re.compile(r'(?P<kind>\w+) plugin of type "(?P<type>[^"]*)": .*Plugin .* not found')
 _NAME = re.compile(
     r'(?P<kind>\w+) plugin of type "(?P<type>\w+)": (\w+|.* property named) "(?P<name>\w+)"'
 )
@@ -103,7 +107,7 @@ class Simulation:
         self.variant = variant
         from mcrim_mitsuba.transport.bulk import read_crystal
 
-        self.scene = load_scene(mi, self.file)
+        self.scene, warnings = load_scene(mi, self.file)
         self.integrator = self.scene.integrator()
         if not hasattr(self.integrator, "depth_limit"):
             problem = "the scene has no light collection integrator"
@@ -111,6 +115,14 @@ class Simulation:
         with said_by(self._lacks):
             self.crystal = read_crystal(self.scene)
         self.model = self.crystal.model
+        turned = self.model.turned_from((self.crystal.lower + self.crystal.upper) / 2.0)
+        turn_round = "turns its black back to the crystal: turn it round, or make it twosided"
+        #: What is possible, but seldom meant.
+        self.notes = (
+            *self.model.notes,
+            *(f"{name} reflects at its front alone, and {turn_round}" for name in turned),
+            *warnings,
+        )
         if check:
             from mcrim_mitsuba.transport.check import check_simulation
 
@@ -216,7 +228,7 @@ class Simulation:
             seconds=seconds,
             notes=(
                 *calibration_notes(tally.head_on),
-                *self.model.notes,
+                *self.notes,
                 *(note for note, holds in notes_if.items() if holds),
                 *notes,
             ),
@@ -249,13 +261,14 @@ def _refuse(problems: Sequence[SceneProblem]) -> None:
 
 
 def load_scene(mi, file: SceneFile):
-    """The scene, loaded into the active variant.
+    """The scene, loaded into the active variant, and what Mitsuba warns of.
 
     Raises InputError with the file, line and column that Mitsuba names; if the scene on the disk is
     no longer the one that was read; or if a GPU lacks what traces its rays.
     """
+    refuse_broken_meshes(file)
     try:
-        scene = _load(mi, file)
+        loaded = _load(mi, file)
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError, KeyError) as error:
@@ -265,7 +278,7 @@ def load_scene(mi, file: SceneFile):
     if not file.is_unchanged():
         problem = "the scene, or a file that it names, changed while it was being used"
         raise InputError(problem, "run the command again", path=file.path)
-    return scene
+    return loaded
 
 
 def _refusal(text: str, file: SceneFile) -> InputError:
@@ -290,6 +303,7 @@ def _refusal(text: str, file: SceneFile) -> InputError:
         mend = did_you_mean(unknown["type"], PLUGIN_TYPES.get(unknown["kind"], ()))
     elif refused := _PLUGIN_SAYS.match(cause):
         wrong, _, how = refused["says"].rstrip(".").partition("; ")
+        mend = EXPORT_AGAIN if refused["type"] in ("obj", "ply") else mend
         problem, mend = f"{_plugin_words(refused)}: {wrong}", how or mend
     named = place["file"] if place and place["file"] else ""
     # of a name with blanks this is the end
@@ -339,22 +353,46 @@ def _clean(line: str) -> str:
 
 
 def _load(mi, file: SceneFile):
-    """What Mitsuba makes of the file, or of the text that stands for it."""
+    """What Mitsuba makes of the file, or of the text that stands for it, and what it warns of."""
     overrides = file.overrides_for_mitsuba()
-    # Optimising merges shapes, and with that their ids and faces. Mitsuba 3.9 races with itself
-    # when it makes the first plugins of a process in parallel: one load of some 300 was refused for
-    # garbage in a name ("basic_string::_M_create").
-    if file.unwritten_text is None:
-        return mi.load_file(str(file.path), parallel=False, optimize=False, **overrides)
-    outside = mi.file_resolver()
-    folder = mi.FileResolver(outside)
-    folder.prepend(str(file.path.parent))
-    mi.set_file_resolver(folder)
-    try:
-        text = file.unwritten_text.removeprefix("\ufeff")
-        return mi.load_string(text, parallel=False, optimize=False, **overrides)
-    finally:
-        mi.set_file_resolver(outside)
+    with _ONE_AT_A_TIME:
+        outside, logger = mi.file_resolver(), mi.logger()
+        folder, heard = mi.FileResolver(outside), mi.Logger(logger.log_level())
+        folder.prepend(str(file.path.parent))
+        heard.set_formatter(logger.formatter())
+        heard.add_appender(listener := _listener())
+        mi.set_file_resolver(folder)
+        mi.set_logger(heard)  # Mitsuba's own would write into standard output
+        try:
+            # Optimising merges shapes, and with that their ids and faces. Mitsuba 3.9 races with
+            # itself when it makes the first plugins of a process in parallel: one load of some 300
+            # was refused for garbage in a name ("basic_string::_M_create").
+            options = {"parallel": False, "optimize": False, **overrides}
+            if file.unwritten_text is None:
+                scene = mi.load_file(str(file.path), **options)
+            else:
+                scene = mi.load_string(file.unwritten_text.removeprefix("\ufeff"), **options)
+        finally:
+            mi.set_file_resolver(outside)
+            mi.set_logger(logger)
+    lines = [line for line in listener.lines if "performance warning" not in line]
+    says = (re.sub(r".* WARN +", "", " ".join(line.split())) for line in lines)
+    return scene, tuple(f"Mitsuba warns: {line}" for line in dict.fromkeys(says))
+
+
+def _listener():
+    """What keeps the lines of a log of Mitsuba's."""
+    import mitsuba as mi
+
+    class Listener(mi.Appender):
+        def __init__(self) -> None:
+            super().__init__()
+            self.lines: list[str] = []
+
+        def append(self, _level, text: str) -> None:
+            self.lines.append(text)
+
+    return Listener()
 
 
 def check_scene(

@@ -192,6 +192,8 @@ def test_campaigns_that_name_what_is_no_such_file(scenes, tmp_path):
     assert "larger than 5 MB" in refusal(read_campaign, path)
     path.write_text(text.replace('"camoo4_measured.csv"', '"/etc/passwd"'))
     assert "there is no column label" in refusal(read_campaign, path)
+    path.write_text(f'effects_folder = "."\n{text}')
+    assert "there is no effect in this folder" in refusal(read_campaign, path)
 
 
 CSV = "label,signal,sigma\n"

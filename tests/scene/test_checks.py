@@ -1,7 +1,9 @@
 """What can be checked by reading a scene: words, values, indices and surfaces; its XML."""
 
+import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 from lxml import etree
 from places import ROOT, SCENES, cases_of
@@ -9,6 +11,7 @@ from refusals import refusal
 
 from mcrim_mitsuba.scene import check_text, xml_tree
 from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem, problems_of_text
+from mcrim_mitsuba.scene.mesh_file import read_mesh, refuse_broken_meshes
 from mcrim_mitsuba.scene.scene_file import read_scene
 
 cases = cases_of(__file__)
@@ -28,6 +31,41 @@ def problems(folder: Path, *changes: tuple[str, str]) -> list[str]:
 
 def test_a_sound_bench_has_no_problem(tmp_path):
     assert problems(tmp_path) == []
+
+
+def test_mesh_files_are_read_in_all_their_forms(tmp_path):
+    """With colours, comments, other ends of lines; and one in which the -1 is binary."""
+    corners, facets = np.eye(4, 3), [(0, 2, 1), (0, 1, 3)]
+    head = "ply\r\nformat {} 1.0\r\ncomment c\r\nelement vertex 4\r\nproperty float x\r\n"
+    head += "property float y\r\nproperty uchar red\r\nproperty float z\r\nelement face 2\r\n"
+    head += "property list uchar int vertex_index\r\nend_header\r\n"
+    text = "\n".join(f"{x} {y} 9 {z}" for x, y, z in corners) + "\n3 0 2 1 3\n0 1 3"
+    (tmp_path / "text.ply").write_text(head.format("ascii") + text, newline="")
+    for order, name in (("<", "little"), (">", "big")):
+        data = b"".join(struct.pack(f"{order}ffBf", x, y, 9, z) for x, y, z in corners)
+        data += b"".join(struct.pack(f"{order}Biii", 3, *facet) for facet in facets)
+        start = head.format(f"binary_{name}_endian").encode()
+        (tmp_path / f"{name}.ply").write_bytes(start + data)
+        (tmp_path / "minus.ply").write_bytes(start + data[:-12] + b"\xff" * 4 + data[-8:])
+        assert "vertex -1" in refusal(read_mesh, tmp_path / "minus.ply", "ply")
+    obj = "".join(f"v {x} {y} {z} # p\n" for x, y, z in corners) + "f 1//1 3//1 2//1\nf 1 2 4\n"
+    (tmp_path / "text.obj").write_text(obj)
+    for name in ("text.ply", "little.ply", "big.ply", "text.obj"):
+        vertices, triangles = read_mesh(tmp_path / name, name[-3:])
+        assert np.array_equal(vertices, corners) and triangles.tolist() == [*map(list, facets)]
+
+
+def test_the_mesh_is_judged_that_mitsuba_takes(tmp_path):
+    """The last <path> is searched first, the scene's own folder after all of them."""
+    named = '<path value="a"/><shape type="obj"><string name="filename" value="m.obj"/></shape>'
+    (tmp_path / "s.xml").write_text(f'<scene version="3.0.0">{named}</scene>')
+    (tmp_path / "a").mkdir()
+    file = read_scene(tmp_path / "s.xml")
+    assert "line 1: there is no mesh file m.obj" in refusal(refuse_broken_meshes, file)
+    (tmp_path / "m.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    refuse_broken_meshes(file)
+    (tmp_path / "a" / "m.obj").write_text("v 0 0 0\n")
+    assert "a/m.obj: the mesh has no triangles" in refusal(refuse_broken_meshes, file)
 
 
 def test_what_is_counted_is_a_detector_of_the_scene(tmp_path):

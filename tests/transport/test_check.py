@@ -194,6 +194,73 @@ def test_a_detector_inside_the_crystal_is_named(tmp_path):
     assert "detector" in str(problem) and "nan" not in str(problem)
 
 
+#: A tetrahedron on z = 2.
+MESH = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 4
+property list uchar int vertex_indices
+end_header
+-3 -3 2
+3 -3 2
+0 3 2
+0 0 8
+3 0 2 1
+3 0 1 3
+3 1 2 3
+3 2 0 3
+"""
+SPHERE = """<shape type="sphere" id="ball">
+    <point name="center" x="1" y="-2" z="3"/>
+    <float name="radius" value="5"/>
+"""
+
+
+@cases("kind", "old", "new", "says", more=[("ply", "", "", "")])
+def test_a_broken_mesh_is_refused_by_its_name(tmp_path, kind, old, new, says):
+    named = f'<shape type="{kind}" id="ball"><string name="filename" value="crystal.{kind}"/>'
+    path = tmp_path / "scene.xml"
+    path.write_text(replaced(SPHERE, named, BALL.read_text()))
+    if old != "no file":
+        text = replaced(old, new, MESH) if old else MESH
+        (tmp_path / f"crystal.{kind}").write_text(text)
+    told = [str(problem) for problem in check_scene(path, light=False).problems]
+    assert len(told) == bool(says), told
+    assert all(f"crystal.{kind}" in line and says in line for line in told), told
+
+
+def test_a_crystal_without_a_size_is_no_matter_of_units(tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(replaced('"radius" value="5"', '"radius" value="0"', BALL.read_text()))
+    (problem, *_) = check_scene(path, light=False).problems
+    assert problem.text == "the crystal measures 0 x 0 x 0 mm: it is empty"
+
+
+@pytest.mark.parametrize(("angle", "notes"), [(0, 1), (180, 0)])
+def test_a_reflector_that_turns_its_black_back_to_the_crystal_is_noted(tmp_path, angle, notes):
+    """Eta is 0.25 so, and 0.31 the other way round."""
+    foil = f"""<shape type="rectangle" id="foil"><transform name="to_world"><scale value="20"/>
+<rotate x="1" angle="{angle}"/><translate z="12"/></transform><bsdf type="diffuse"/></shape>"""
+    path = tmp_path / "scene.xml"
+    path.write_text(BENCH.replace("</scene>", f"{foil}</scene>"))
+    report = check_scene(path, light=False)
+    assert report.ok
+    assert sum("foil reflects at its front alone" in note for note in report.notes) == notes
+
+
+def test_mitsubas_warnings_are_notes_and_never_in_standard_output(tmp_path, capfd):
+    """They came before the JSON that was asked for, coloured."""
+    path = tmp_path / "scene.xml"
+    wide = '<shape type="cylinder" id="ball"><transform name="to_world"><scale x="2"/></transform>'
+    path.write_text(replaced(SPHERE, wide, BALL.read_text()))
+    notes = check_scene(path, light=False).notes
+    assert any("Mitsuba warns: [Cylinder] 'to_world' transform" in note for note in notes), notes
+    assert capfd.readouterr().out == ""
+
+
 def test_an_index_left_out_is_missed_where_its_bsdf_is_written(tmp_path):
     path = tmp_path / "scene.xml"
     path.write_text(BROKEN["outer index left out"][0])

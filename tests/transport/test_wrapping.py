@@ -191,6 +191,7 @@ def test_what_is_within_the_wrapping_touches_it_and_no_more(scenes):
         ('name="s" value="0"', 'name="s" value="-1"', "specular is -1; give 0 to 1"),
         ('name="film" value="0.02"', 'name="film" value="-1"', "film 0 or more"),
         (_ACROSS, f'{_ACROSS}<string name="without" value="lid"/>', "top, sides, right, back"),
+        (_ACROSS, f'{_ACROSS}<string name="without" value="none top"/>', "alone; leave it out"),
         ('"height" value="20"', '"height" value="19"', "reaches 1 mm beyond the top of wrapping"),
         (_ACROSS, _ACROSS.replace("10", "9"), "reaches 0.5 mm beyond the sides of wrapping"),
         (_ACROSS, _ACROSS + '<float name="diameter" value="10"/>', "or the diameter of a cylinder"),

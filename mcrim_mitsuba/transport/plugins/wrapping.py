@@ -86,6 +86,7 @@ class Wrapping(Polygons):
         for word in self.without:
             if word not in (known := (TOP, *dict.fromkeys((SIDES, *sides)))):
                 mend = did_you_mean(word, (*known, NONE))
+                mend = f"{NONE} stands alone; leave it out" if word == NONE else mend
                 raise ValueError(f"a wrapping's without is {word!r}: {mend}")
         names = (TOP, FOOT, *sides)
         #: What bounds what is wrapped: whether it is left out, normals outwards, shape (n, 3), and
