@@ -425,12 +425,13 @@ def quality(comparison: Comparison | Calibration) -> str:
     # an exact fit's chi2 is rounding
     chi2, ndf = number(round(comparison.chi2, 6)), comparison.ndf
     if comparison.p_value is None:
-        meaning = "the readings determine the parameters, but say nothing about whether it is right"
+        words = f"chi2 = {chi2} without degrees of freedom: "
         if fails(comparison):
-            meaning = (
-                "bounds or priors keep the model from the readings, which it does not describe"
-            )
-        return f"chi2 = {chi2} without degrees of freedom: {meaning}"
+            return words + "the model does not describe the readings, from which bounds keep it"
+        return (
+            f"{words}the readings determine the parameters, but say nothing about whether the "
+            "model is right"
+        )
     spread = math.sqrt(2.0 * ndf)
     expected = f"{ndf} ± {spread:.1f} is expected (ndf = {ndf})"
     words = f"chi2 = {chi2} where {expected}, {p_equals(comparison.p_value)}: "

@@ -695,7 +695,10 @@ def test_a_tiny_p_value_is_below_and_equals_nothing():
 
 def test_bounds_may_keep_a_fit_of_all_parameters_from_its_readings():
     """Two swapped readings, chi2 = 872, were a light yield without a word."""
-    for chi2, says, doubt in ((872.0, "which it does not describe", True), (0.4, "nothing", False)):
+    for chi2, says, doubt in (
+        (872.0, "does not describe the readings", True),
+        (0.4, "nothing about", False),
+    ):
         comparison = replace(by.comparison(p_value=None), chi2=chi2)
         assert says in sentences.quality(comparison) and sentences.fails(comparison) == doubt
 
