@@ -20,7 +20,7 @@ from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.next_measurements import _most_kept, next_measurements
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN, DiscrepancyModel, discrepancy_at
 from mcrim_mitsuba.inference.simulations import MeasurementProposals
-from mcrim_mitsuba.inference.weighing import Hypothesis, weigh_hypotheses
+from mcrim_mitsuba.inference.weighing import weigh_hypotheses
 from mcrim_mitsuba.output.sentences import suspicion
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
@@ -209,11 +209,9 @@ def test_a_proposed_reading_buys_what_it_then_does():
     few = tuple(rows[i] for i in (0, 4, 8))
     before = explained(few)
     null = NullDistribution(before, ())
-    only = Hypothesis(
-        log_weight=0.0, log_scale=0.0, log_scale_sigma=0.1, evidence=before.evidence(())
-    )
-    weighing = SimpleNamespace(hypotheses=(only,), shares=np.ones(1), families={})
-    judge = Judgement(before, null, weighing)
+    weighing = weigh_hypotheses(before, null)
+    only = next(hypothesis for hypothesis in weighing.hypotheses if not hypothesis.causes)
+    judge = Judgement(before, null, replace(weighing, hypotheses=(only,), shares=np.ones(1)))
     minutes = {"crystal_height_mm": 90.0}
     proposals = MeasurementProposals(
         bench.ROWS[6:14],
