@@ -297,11 +297,12 @@ def _refusal(text: str, file: SceneFile) -> InputError:
         cause = f"{lines[0].removesuffix(traceback).rstrip(': ')}: {_clean(lines[-1])}"
     else:
         cause = _clean(" ".join(lines)).replace(" - ", " ")
-    problem, mend = f"Mitsuba refuses the scene: {cause}", "mend the element at this place"
+    refused, at_this_place = _PLUGIN_SAYS.match(cause), "mend the element at this place"
+    problem, mend = f"Mitsuba refuses the scene: {cause}", at_this_place
     if unknown := _NO_PLUGIN.search(cause):
         problem = f"there is no {unknown['kind']} of type {unknown['type']!r}"
         mend = did_you_mean(unknown["type"], PLUGIN_TYPES.get(unknown["kind"], ()))
-    elif refused := _PLUGIN_SAYS.match(cause):
+    elif refused:
         wrong, _, how = refused["says"].rstrip(".").partition("; ")
         mend = EXPORT_AGAIN if refused["type"] in ("obj", "ply") else mend
         problem, mend = f"{_plugin_words(refused)}: {wrong}", how or mend
@@ -312,6 +313,11 @@ def _refusal(text: str, file: SceneFile) -> InputError:
     if place and (told := _refusal_of_names(cause, file, (path, line))) is not None:
         return told
     column = int(place["column"]) if place else None
+    if line and refused and mend == at_this_place:
+        following = file.source(path).decode(errors="replace").split("\n", line - 1)[-1]
+        element = following.partition(f"</{refused['kind']}>")[0]
+        given = [f"{n} than {v}" for n, v in file.overrides.items() if re.search(rf"\${n}\b", element)]
+        mend = f"give another {' or '.join(given)}, or {mend}" if given else mend
     return InputError(problem, mend, path=path, line=line, column=column)
 
 
