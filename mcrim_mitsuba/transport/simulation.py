@@ -316,7 +316,9 @@ def _refusal(text: str, file: SceneFile) -> InputError:
     if line and refused and mend == at_this_place:
         following = file.source(path).decode(errors="replace").split("\n", line - 1)[-1]
         element = following.partition(f"</{refused['kind']}>")[0]
-        given = [f"{n} than {v}" for n, v in file.overrides.items() if re.search(rf"\${n}\b", element)]
+        given = [
+            f"{n} than {v}" for n, v in file.overrides.items() if re.search(rf"\${n}\b", element)
+        ]
         mend = f"give another {' or '.join(given)}, or {mend}" if given else mend
     return InputError(problem, mend, path=path, line=line, column=column)
 
