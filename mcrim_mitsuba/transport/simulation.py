@@ -362,13 +362,15 @@ def _clean(line: str) -> str:
 
 def _load(mi, file: SceneFile):
     """What Mitsuba makes of the file, or of the text that stands for it, and what it warns of."""
+    from mcrim_mitsuba.transport.conversion import Listener
+
     overrides = file.overrides_for_mitsuba()
     with _ONE_AT_A_TIME:
         outside, logger = mi.file_resolver(), mi.logger()
         folder, heard = mi.FileResolver(outside), mi.Logger(logger.log_level())
         folder.prepend(str(file.path.parent))
         heard.set_formatter(logger.formatter())
-        heard.add_appender(listener := _listener())
+        heard.add_appender(listener := Listener())
         mi.set_file_resolver(folder)
         mi.set_logger(heard)  # Mitsuba's own would write into standard output
         try:
@@ -386,21 +388,6 @@ def _load(mi, file: SceneFile):
     lines = [line for line in listener.lines if "performance warning" not in line]
     says = (re.sub(r".* WARN +", "", " ".join(line.split())) for line in lines)
     return scene, tuple(f"Mitsuba warns: {line}" for line in dict.fromkeys(says))
-
-
-def _listener():
-    """What keeps the lines of a log of Mitsuba's."""
-    import mitsuba as mi
-
-    class Listener(mi.Appender):
-        def __init__(self) -> None:
-            super().__init__()
-            self.lines: list[str] = []
-
-        def append(self, _level, text: str) -> None:
-            self.lines.append(text)
-
-    return Listener()
 
 
 def check_scene(
