@@ -389,6 +389,8 @@ def _ignore_signals() -> None:
 def _say_usage(name: str, error: click.UsageError) -> int:
     """A slip of the command line: what is wrong, and the help that tells more."""
     text = " ".join(error.format_message().split()).rstrip(".")
+    if isinstance(error, click.NoSuchOption) and error.option_name[1:].isdigit():
+        text += ": write -- before a number below 0"
     if error.ctx is None:
         return _say(name, text, YOUR_INPUT)
     see = f"`{error.ctx.command_path} --help`"

@@ -40,6 +40,18 @@ MOST_TRIANGLES = 128
 _MESHES = 256
 
 
+class Listener(mi.Appender):
+    """Keeps the lines of a log of Mitsuba's."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[str] = []
+
+    def append(self, _level, text: str) -> None:
+        """Take a line, which Mitsuba's own appenders would print."""
+        self.lines.append(text)
+
+
 def parameters_of(node, *, nested: bool = True) -> dict[str, Any]:
     """What ``mi.traverse`` gives of an object, and of those `nested` in it: to be read only."""
     parts, met, collect = dict[str, Any](), {node}, _collector()

@@ -297,11 +297,12 @@ def _refusal(text: str, file: SceneFile) -> InputError:
         cause = f"{lines[0].removesuffix(traceback).rstrip(': ')}: {_clean(lines[-1])}"
     else:
         cause = _clean(" ".join(lines)).replace(" - ", " ")
-    problem, mend = f"Mitsuba refuses the scene: {cause}", "mend the element at this place"
+    refused, at_this_place = _PLUGIN_SAYS.match(cause), "mend the element at this place"
+    problem, mend = f"Mitsuba refuses the scene: {cause}", at_this_place
     if unknown := _NO_PLUGIN.search(cause):
         problem = f"there is no {unknown['kind']} of type {unknown['type']!r}"
         mend = did_you_mean(unknown["type"], PLUGIN_TYPES.get(unknown["kind"], ()))
-    elif refused := _PLUGIN_SAYS.match(cause):
+    elif refused:
         wrong, _, how = refused["says"].rstrip(".").partition("; ")
         mend = EXPORT_AGAIN if refused["type"] in ("obj", "ply") else mend
         problem, mend = f"{_plugin_words(refused)}: {wrong}", how or mend
@@ -312,6 +313,13 @@ def _refusal(text: str, file: SceneFile) -> InputError:
     if place and (told := _refusal_of_names(cause, file, (path, line))) is not None:
         return told
     column = int(place["column"]) if place else None
+    if line and refused and mend == at_this_place:
+        following = file.source(path).decode(errors="replace").split("\n", line - 1)[-1]
+        element = following.partition(f"</{refused['kind']}>")[0]
+        given = [
+            f"{n} than {v}" for n, v in file.overrides.items() if re.search(rf"\${n}\b", element)
+        ]
+        mend = f"give another {' or '.join(given)}, or {mend}" if given else mend
     return InputError(problem, mend, path=path, line=line, column=column)
 
 
@@ -354,13 +362,15 @@ def _clean(line: str) -> str:
 
 def _load(mi, file: SceneFile):
     """What Mitsuba makes of the file, or of the text that stands for it, and what it warns of."""
+    from mcrim_mitsuba.transport.conversion import Listener
+
     overrides = file.overrides_for_mitsuba()
     with _ONE_AT_A_TIME:
         outside, logger = mi.file_resolver(), mi.logger()
         folder, heard = mi.FileResolver(outside), mi.Logger(logger.log_level())
         folder.prepend(str(file.path.parent))
         heard.set_formatter(logger.formatter())
-        heard.add_appender(listener := _listener())
+        heard.add_appender(listener := Listener())
         mi.set_file_resolver(folder)
         mi.set_logger(heard)  # Mitsuba's own would write into standard output
         try:
@@ -378,21 +388,6 @@ def _load(mi, file: SceneFile):
     lines = [line for line in listener.lines if "performance warning" not in line]
     says = (re.sub(r".* WARN +", "", " ".join(line.split())) for line in lines)
     return scene, tuple(f"Mitsuba warns: {line}" for line in dict.fromkeys(says))
-
-
-def _listener():
-    """What keeps the lines of a log of Mitsuba's."""
-    import mitsuba as mi
-
-    class Listener(mi.Appender):
-        def __init__(self) -> None:
-            super().__init__()
-            self.lines: list[str] = []
-
-        def append(self, _level, text: str) -> None:
-            self.lines.append(text)
-
-    return Listener()
 
 
 def check_scene(

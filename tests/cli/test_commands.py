@@ -102,6 +102,8 @@ def test_a_file_of_another_kind_and_a_slip_in_a_verb_are_told(mcrim, campaign_he
     assert mcrim.refused("simulat", BENCH) == (
         "mcrim: No such command 'simulat'. Did you mean 'simulate'? See `mcrim --help`\n"
     )
+    below = mcrim.refused("lab", "absorption", "-0.1")
+    assert "No such option '-0': write -- before a number below 0" in below
 
 
 def test_check_says_what_is_installed(mcrim):
