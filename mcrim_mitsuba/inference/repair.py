@@ -155,7 +155,7 @@ def remark_of(diagnosis: Diagnosis, effects: Sequence[str]) -> str:
         words.append(f"the first of {len(diagnosis.leading_sets)} explanations that lead")
     chance = diagnosis.probabilities.get(" + ".join(effects))
     if chance is not None:
-        words.append(f"probability {chance:.0%}")
+        words.append(f"probability {100.0 * chance:.0f} %")
     names = " and ".join(diagnosis.titles.get(name, name) for name in effects)
     sentence = f"{names} {'were' if len(effects) > 1 else 'was'} added by repair"
     sentence += f" ({', '.join(words)})" if words else ""
