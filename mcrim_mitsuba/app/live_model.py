@@ -221,7 +221,7 @@ def _controls(campaign: Campaign, simulations: CampaignSimulations) -> Controls:
         meaning=parameter_words(campaign, SCALE)[0],
         known=known_of(campaign.scale),
     )
-    refused = tuple(dict.fromkeys(simulations.notes))
+    refused = tuple(dict.fromkeys((*simulations.refusals, *simulations.notes)))
     return Controls(parameters=(*parameters, scale), effects=effects, refused=refused)
 
 

@@ -304,12 +304,12 @@ def _rehearsed(planning: Planning, proposed: Campaign, fit: Calibration, run: Ru
         null = NullDistribution(explanations, tried, run.seed)
         weighing = weigh_hypotheses(explanations, null, closed=True)
         capability = Judgement(explanations, null, weighing).capability(run.seed)
-    notes = [f"{name} was not tried: {why}" for name, why in simulations.not_tried.items()]
+    notes = (*planning.notes, *simulations.refusals, *simulations.provenance().notes)
     return replace(
         planning,
         capability=capability,
         titles={name: effect.title for name, effect in possible.items()},
-        notes=tuple(dict.fromkeys((*planning.notes, *notes, *simulations.provenance().notes))),
+        notes=tuple(dict.fromkeys(notes)),
     )
 
 

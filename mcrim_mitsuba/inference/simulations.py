@@ -372,6 +372,11 @@ class CampaignSimulations:
         )
 
     @property
+    def refusals(self) -> list[str]:
+        """What was not tried, and why, in sentences."""
+        return [f"{name} was not tried: {why}" for name, why in self.not_tried.items()]
+
+    @property
     def _switched_by(self) -> tuple[str, ...]:
         """Scene parameters by which rows switch something."""
         measured = self.campaign.measurements

@@ -129,7 +129,7 @@ def test_an_effect_is_not_put_where_it_has_nothing_to_act_on(bench, name, campai
     for scene, offered in ((bench, False), (home(name), True)):
         simulations = CampaignSimulations(replace(campaign, scene=scene), Run())
         assert (name in simulations.possible()) == offered
-        assert not any(name in note for note in simulations.notes)
+        assert not any(name in note for note in (*simulations.notes, *simulations.refusals))
 
 
 def test_effects_go_on_top_of_each_other_in_any_order(bench):

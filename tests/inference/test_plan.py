@@ -91,7 +91,7 @@ def without_photons(monkeypatch):
                 fit=lambda: fit_model(CampaignModel(campaign, surfaces), profile=False),
                 predict_at=predict_at,
                 possible=dict,
-                not_tried={},
+                refusals=[],
                 simulate=lambda effects, look: SimpleNamespace(
                     model=lambda effects=(): CampaignModel(campaign, surfaces)
                 ),
