@@ -147,7 +147,7 @@ class LiveModel:
             n in knowledge and knowledge[n].how == HELD for n in statistic.names
         )
         return Shown(
-            rows=fitted_rows(statistic.model.readings, prediction, errors),
+            rows=fitted_rows(statistic.model, prediction, errors),
             chi2=chi2,
             ndf=ndf,
             p_value=p_value(chi2, ndf),

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput
-from mcrim_mitsuba.campaign.measurements import LIGHT, TRANSMITTANCE, Reading
+from mcrim_mitsuba.campaign.measurements import LIGHT, TRANSMITTANCE
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.campaign.tolerances import Tolerance
 from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.inference.drivers import Minimum
-from mcrim_mitsuba.inference.model import Prediction
+from mcrim_mitsuba.inference.model import Model, Prediction
 from mcrim_mitsuba.inference.settings import BUDGETING, LINEAR
 
 LIGHT_YIELD = "light_yield_ph_per_keV"
@@ -63,6 +64,8 @@ class FittedRow:
     use: bool
     #: ``light``, or ``transmittance``: the fraction of a beam, which `eta` is then too.
     kind: str = LIGHT
+    #: What differs from reading to reading, by column (`Campaign.cells`), where it has it.
+    parameters: dict[str, Value] = field(default_factory=dict)
 
     @property
     def of_beam(self) -> bool:
@@ -203,27 +206,29 @@ def light_yields(
 
 
 def fitted_rows(
-    readings: Sequence[Reading], prediction: Prediction, eta_sigmas: Sequence[float]
+    model: Model, prediction: Prediction, eta_sigmas: Sequence[float]
 ) -> tuple[FittedRow, ...]:
     """Every reading beside its prediction; `eta_sigmas` are eta's Monte Carlo standard errors."""
     rows = []
-    for i, reading in enumerate(readings):
-        model, eta_sigma = float(prediction.signal[i]), float(eta_sigmas[i])
+    for i, reading in enumerate(model.readings):
+        signal, eta_sigma = float(prediction.signal[i]), float(eta_sigmas[i])
         model_sigma = abs(float(prediction.signal_per_eta[i])) * eta_sigma
-        of_group = (reading.group_sigma or 0.0) * model
+        of_group = (reading.group_sigma or 0.0) * signal
         spread = math.hypot(reading.sigma, of_group, model_sigma, *reading.shared)
+        cells = model.campaign.cells(reading).items()
         rows.append(
             FittedRow(
                 label=reading.label,
                 measured=reading.signal,
                 sigma=reading.sigma,
-                model=model,
+                model=signal,
                 model_sigma=model_sigma,
-                pull=(reading.signal - model) / spread,
+                pull=(reading.signal - signal) / spread,
                 eta=float(prediction.eta[i]),
                 eta_sigma=eta_sigma,
                 use=reading.use,
                 kind=reading.kind,
+                parameters={name: cell for name, cell in cells if cell is not None},
             )
         )
     return tuple(rows)

@@ -162,7 +162,7 @@ def result_of(minima: list[Minimum], *, profile: bool) -> Calibration:
         ndf=best.ndf,
         p_value=best.p_value,
         rows=fitted_rows(
-            model.readings,
+            model,
             prediction.where_off(best.weights.errors.tolerances, best.weighted_residuals),
             prediction.eta_sigma.tolist(),
         ),

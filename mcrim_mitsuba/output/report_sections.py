@@ -354,14 +354,12 @@ class Efficiency:
 
 def efficiencies(fit: Calibration) -> tuple[Efficiency, ...]:
     """The efficiency of every reading, its error that of `budget`."""
-    campaign, values = fit.model.campaign, []
     # parameters are before, and the ratio of two readings after those of readings
     sigmas = errors_of(fit, fitted(fit))[len(fit.names) :][: len(fit.rows)].tolist()
-    for row, reading, sigma in zip(fit.rows, fit.model.readings, sigmas, strict=True):
-        cells = campaign.cells(reading).items()
-        differing = {name: cell for name, cell in cells if cell is not None}
-        values.append(Efficiency(row.label, differing, row.eta, sigma))
-    return tuple(values)
+    return tuple(
+        Efficiency(row.label, row.parameters, row.eta, sigma)
+        for row, sigma in zip(fit.rows, sigmas, strict=True)
+    )
 
 
 # Files that a report has inside, as they were read.

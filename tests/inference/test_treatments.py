@@ -139,6 +139,8 @@ def test_pulls_are_told_along_what_columns_switch(shipped):
     assert trends["ground_top"].levels == (0.0, 1.0) and low < high
     bare, *_, ground = (changed.cells(row) for row in readings)
     assert set(bare.values()) == {0.0} and 1.0 in ground.values()
+    rows = result_of([fit], profile=False).rows
+    assert [row.parameters for row in rows] == [changed.cells(row) for row in readings]
 
 
 def test_columns_take_a_wrapping_off(read):
