@@ -823,7 +823,7 @@ def not_modelled(articles: bool = True) -> list[tuple[str, str, str]]:
     """
     text = Path(__file__).with_name("not_modelled.toml").read_text(encoding="utf-8")
     causes = tomllib.loads(text)["causes"]
-    return [(what, does, much) for what, does, much, *own in causes if articles or not own]
+    return [(what, does, much) for what, does, much, *mark in causes if articles or not mark]
 
 
 def _places(errors: Budget) -> Iterator[Piece]:

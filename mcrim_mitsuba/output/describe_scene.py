@@ -257,10 +257,10 @@ def of_check(report: results.CheckResult, *, first: bool = True) -> Description:
     """
     problems = [f"{'also: ' if i else ''}{problem}" for i, problem in enumerate(report.problems)]
     scene = report.scene if isinstance(report.scene, str | Path) else report.scene.path
-    own = Path(scene).resolve()
+    scene_file = Path(scene).resolve()
 
     def line(face: Interface) -> Cell:
-        included = "" if face.path.resolve() == own else f"{face.path.name}: "
+        included = "" if face.path.resolve() == scene_file else f"{face.path.name}: "
         return shown(face.line, lambda line: "" if line is None else f"{included}{line}")
 
     faces = records("", (*FACES, Column("line", of=line)), report.interfaces)
