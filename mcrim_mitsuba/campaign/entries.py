@@ -62,7 +62,7 @@ SAME_AS = "same_as"
 #: Characters of a title or a unit, at most: they stand in one line of a figure.
 LONGEST_WORDS = 100
 #: The same of a remark.
-LONGEST_REMARK = 500
+LONGEST_REMARK = 1000
 
 _FILE: dict[str, Any] = {"type": "string", "minLength": 1}
 _VALUES = {"type": "array", "items": {"type": "number"}, "minItems": 1}

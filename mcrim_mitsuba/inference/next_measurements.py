@@ -328,7 +328,8 @@ class _Cloud:
         detector's `efficiency`.
         """
         spread = self.left(np.zeros((1, len(self.weights)))).error
-        widening = math.sqrt(max(error**2 - efficiency**2, 0.0)) / spread
+        # no spread, where all points have one yield, widens to none
+        widening = math.sqrt(max(error**2 - efficiency**2, 0.0)) / max(spread, 1e-12)
         return replace(self, widening=widening, efficiency=efficiency)
 
     def left(self, log_likelihood: Array) -> _Left:
