@@ -165,9 +165,8 @@ def _draw(
     explanations: Explanations, models: CampaignModels, rng: np.random.Generator
 ) -> tuple[Campaign, tuple[str, ...], float] | None:
     """A campaign with readings as drawn, its causes and its scale; None where it will not do."""
-    hidden = tuple(
-        name for name in explanations.effects if rng.random() < expit(explanations.log_odds([name]))
-    )
+    drawn = (n for n in explanations.effects if rng.random() < expit(explanations.log_odds([n])))
+    hidden = tuple(sorted(drawn))  # as models have them: their parameters are in that order
     if len(hidden) > MOST_CAUSES or not explanations.possible(hidden):
         return None
     statistic, values = explanations.statistic(hidden), explanations.baseline.values
@@ -176,8 +175,8 @@ def _draw(
     for parameter in statistic.free:
         if parameter.prior is None and parameter.name not in of_effects:
             continue
-        drawn = known[parameter.name].value(rng.standard_normal(1))[0]
-        values[parameter.name] = float(np.clip(drawn, parameter.minimum, parameter.maximum))
+        value = known[parameter.name].value(rng.standard_normal(1))[0]
+        values[parameter.name] = float(np.clip(value, parameter.minimum, parameter.maximum))
     values[ALPHA_SCAT] *= rng.uniform(*ABOUT)
     theta = np.clip(statistic.theta(values), *statistic.bounds)
     signal = statistic.model.predict(theta).signal
