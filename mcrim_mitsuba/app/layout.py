@@ -23,7 +23,7 @@ from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.judgement import ADEQUATE
-from mcrim_mitsuba.inference.settings import ACCEPTABLE_P
+from mcrim_mitsuba.inference.statistic import is_misfit
 from mcrim_mitsuba.output import describe_campaign, sentences
 from mcrim_mitsuba.output.description import Column, Table, table
 from mcrim_mitsuba.output.figure_style import shortened_apart, units_of_signals
@@ -207,9 +207,10 @@ def _answer(session: Session, settings: Settings, shown: Shown, step: FitStep | 
     titles = [session.model.live.controls.effects[name][0].title for name in settings.effects]
     bench = f"The bench with {sentences.together(titles)}" if titles else "The bench"
     bench += "" if step else ", moved by hand,"
-    if shown.p_value is None:
+    fails = is_misfit(shown.chi2, shown.p_value)
+    if shown.p_value is None and not fails:
         return f"{bench} cannot be judged: these readings only just determine its parameters."
-    verb = "does not explain" if shown.p_value < ACCEPTABLE_P else "explains"
+    verb = "does not explain" if fails else "explains"
     diagnosis = session.state.diagnosis
     needless = titles and diagnosis and diagnosis.verdict == ADEQUATE
     without = " Nothing had to be added: it does without." if needless else ""

@@ -33,9 +33,9 @@ from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.model import Model
 from mcrim_mitsuba.inference.rehearsal import Capability
-from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, PLANNING
+from mcrim_mitsuba.inference.settings import PLANNING
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
-from mcrim_mitsuba.inference.statistic import Statistic, undetermined
+from mcrim_mitsuba.inference.statistic import Statistic, is_misfit, undetermined
 from mcrim_mitsuba.inference.weighing import weigh_hypotheses
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
@@ -274,7 +274,7 @@ def _refuse_unplannable(campaign: Campaign) -> None:
 
 def _doubt(fit: Calibration) -> Iterator[str]:
     """Whether the campaign's own fit fails, or ended at a bound."""
-    if fit.p_value is not None and fit.p_value < ACCEPTABLE_P:
+    if is_misfit(fit.chi2, fit.p_value):
         yield (
             f"the model does not describe the readings: chi2 = {fit.chi2:.3g}, "
             f"{p_equals(fit.p_value)}: the doubt about the model is not in these plans"
