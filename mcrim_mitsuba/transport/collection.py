@@ -60,7 +60,7 @@ def choose_path(
     `general` asks for this in any case (for cross-checks); `fold` is as of `FlatPath`.
     """
     if suits(model) and not general:
-        return FlatPath(model, polarization, None if polarization else fold)
+        return FlatPath(model, polarization, fold)
     return GeneralPath(model, polarization, trace_all=general)
 
 

@@ -134,15 +134,17 @@ class FlatPath:
         solids = convex_solids(model)
 
         def body(solid: Solid) -> ConvexBody:
-            folds = solid.volume == fold and FoldedBody.suits(model, solid)
-            kind = FoldedBody if folds else ConvexBody
-            return kind(model, solid, lambda i: self._shape(faces[i]), self._number)
+            parts = model, solid, lambda i: self._shape(faces[i]), self._number
+            if solid.volume == fold and FoldedBody.suits(model, solid, polarization):
+                return FoldedBody(*parts, polarization)
+            return ConvexBody(*parts)
 
         self._bodies = [body(solid) for solid in solids]
         #: Where flights pass over total reflections.
         self.folded = next((b for b in self._bodies if isinstance(b, FoldedBody)), None)
         #: What leads light through the film before a wrapping.
-        films = (film_before(model, solid) for solid in solids if solid.volume == fold)
+        filmed = [] if polarization else [solid for solid in solids if solid.volume == fold]
+        films = (film_before(model, solid) for solid in filmed)
         film = next((film for film in films if film is not None), None)
         self.film = None if film is None else FilmTrips(model, film)
         #: What leads it to and fro between a wrapping's mirrors.

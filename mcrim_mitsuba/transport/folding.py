@@ -62,8 +62,7 @@ def folded_axes(model: SceneModel, solid: Solid) -> tuple[int, ...]:
       touches faces of them, it does so to all of a plane, and to both, if so, alike.
     - Scattering is as strong at either of two places that are mirror images along the axis.
 
-    Polarised light is not folded, because total reflection turns its field; nor are trails, which
-    show every reflection.
+    Trails are not folded, because they show every reflection. Of polarised light see `traps`.
     """
     uneven = bool(model.volumes[solid.volume].scattering_gradient)
 
@@ -95,6 +94,24 @@ def wall_folds(model: SceneModel, solid: Solid) -> bool:
     uneven = bool(model.volumes[solid.volume].scattering_gradient) and solid.circle.axis != 2
     touched = any(model.surfaces[model.walls[number].surface].contact for number in solid.walls)
     return not uneven and not touched and _walls_total_from(model, solid) < 1.0
+
+
+def traps(model: SceneModel, solid: Solid) -> bool:
+    """Whether light may be held until it scatters: by the box, or the round wall with its ends.
+
+    Total reflection turns the field of polarised light, which tells what becomes of it at the next
+    face that is open, and which scattering takes away. So of that light only what no face lets out
+    is passed over reflections, and that by no wrapping that touches.
+    """
+    axes = [0, 1, 2] if solid.circle is None else [solid.circle.axis]
+    return (
+        list(folded_axes(model, solid)) == axes
+        and (solid.circle is None or wall_folds(model, solid))
+        and all(
+            _all_total_from(model, solid, p.faces) < 1.0 and not _contact_of(model, solid, p.faces)
+            for p in solid.planes
+        )
+    )
 
 
 def _holds_something(model: SceneModel, solid: Solid) -> bool:
@@ -134,11 +151,13 @@ class FoldedBody(ConvexBody):
 
     Flights end `MOST_WIDTHS` away at the latest, at `NO_FACE` where no face is there. Where a
     wrapping touches faces, each of these reflections is none with that probability: how many there
-    are before is drawn at once, and the flight ends at a face of `touched` then.
+    are before is drawn at once, and the flight ends at a face of `touched` then. Of `polarized`
+    light only what the solid traps flies on, see `traps`.
     """
 
-    def __init__(self, model: SceneModel, solid: Solid, shape_of, number) -> None:
+    def __init__(self, model: SceneModel, solid: Solid, shape_of, number, polarized: bool) -> None:
         super().__init__(model, solid, shape_of, number)
+        self._polarized = polarized
         axes = folded_axes(model, solid)
         planes = {(plane.axis, plane.high): plane for plane in solid.planes}
         #: By axis that folds: its slab, where its ends reflect all, its width (mm) and 1 over that.
@@ -172,11 +191,28 @@ class FoldedBody(ConvexBody):
         self._longest = number(MOST_WIDTHS * max(widths))
 
     @classmethod
-    def suits(cls, model: SceneModel, solid: Solid) -> bool:
+    def suits(cls, model: SceneModel, solid: Solid, polarized: bool) -> bool:
         """Whether anything of a solid folds."""
+        if polarized:
+            return traps(model, solid)
         return bool(folded_axes(model, solid)) or wall_folds(model, solid)
 
+    def _is_trapped(self, ray: Ray):
+        """Whether all faces reflect all light that flies so (Mask)."""
+        trapped = mi.Mask(True)
+        if self._wall is not None:
+            trapped &= self._reflects_round(self._wall.disc.crossings(ray)[2])
+        for axis, (_, totals, _, _) in self.axes.items():
+            sine2 = dr.fma(-ray.direction[axis], ray.direction[axis], 1.0)
+            trapped &= sine2 >= dr.maximum(*totals)
+        return trapped
+
     def _way_out(self, way, ray: Ray):
+        if self._polarized:
+            trapped = self._is_trapped(ray)
+            distance = dr.select(trapped, self._longest, way.out)
+            number = dr.select(trapped, mi.UInt32(NO_FACE), way.leaving)
+            return distance, self._face_at(number, ray, distance)
         out = self._way_through(ray, self._straight)
         if self._wall is not None:
             t, _, root2 = self._wall.disc.crossings(ray)
@@ -220,6 +256,8 @@ class FoldedBody(ConvexBody):
         """
         place, flying = dr.fma(direction, distance, origin), mi.Vector3f(direction)
         folds = mi.UInt32(0)
+        if self._polarized:
+            mine = mine & self._is_trapped(Ray(origin, direction))  # the mask is the caller's
         if self._wall_total is not None:
             folds = self._turn(place, flying, Ray(origin, direction), distance, mine)
         for axis, (slab, _, width, per_width) in self.axes.items():

@@ -46,8 +46,8 @@ COLUMNS = (
 CRYSTALS = ("", "_cylinder", "_cylinder_lying", "_hexagonal", "_thin", "_wrapped")
 
 
-def _of_crystal(name: str) -> SceneFile:
-    return read_scene(SCENES / f"camoo4{name}.xml")
+def _of_crystal(name: str, **overrides: str) -> SceneFile:
+    return read_scene(SCENES / f"camoo4{name}.xml", overrides)
 
 
 def _with_effect(name: str) -> SceneFile:
@@ -57,6 +57,10 @@ def _with_effect(name: str) -> SceneFile:
 
 CASES: dict[str, Callable[[], SceneFile]] = {
     **{name.strip("_") or "box": lambda name=name: _of_crystal(name) for name in CRYSTALS},
+    **{
+        f"polarised{name}": lambda name=name: _of_crystal(name, polarization="true")
+        for name in ("_cylinder", "_cylinder_lying", "_thin", "_wrapped")
+    },
     "mirrors": lambda: read_scene(SCENES / "lyso_esr.xml"),
     **{
         effect.name: lambda name=effect.name: _with_effect(name)

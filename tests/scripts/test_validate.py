@@ -360,6 +360,7 @@ def test_folded_flights_agree_with_straight_ones():
     """Crystals, faces in parts, uneven scattering; all effects are in the script's long form."""
     cases = ["box", "cylinder", "cylinder_lying", "hexagonal", "wrapped"]
     cases += ["rayleigh_scattering", "scattering_gradient", "gel_creep", "side_roughness"]
+    cases += ["polarization", "polarised_cylinder"]
     differences = [row for case in cases for row in folding.compare(case, 400_000, 3)]
     assert {row.case for row in differences} == set(cases)
     # uneven scattering has its own path besides

@@ -51,8 +51,7 @@ def test_flights_pass_over_what_only_reflects(folded, crystal, effects, axes, wa
     assert isinstance(path, FoldedBody) if axes or wall else path is None
 
 
-def test_polarised_light_and_trails_are_not_folded(folded):
-    assert folded(polarization="true").launcher().path.folded is None
+def test_trails_are_not_folded(folded):
     assert folded().launcher(fold=False).path.folded is None
     # nor is what Mitsuba intersects
     assert folded().launcher(general=True).path.folded is None
@@ -90,6 +89,16 @@ def _ends(body, place, direction, length):
     return np.array(end).T, np.array(flying).T, np.array(folds)
 
 
+def _middle_of(body):
+    """Of a solid's planes by their axes, and of its round wall."""
+    middle, circle = np.zeros(3), body.solid.circle
+    for plane in body.solid.planes:
+        middle += 0.5 * plane.offset * np.abs(plane.axis)
+    if circle is not None:
+        middle[list(circle.across)] = circle.centre_mm
+    return middle
+
+
 def test_a_folded_flight_ends_where_one_from_face_to_face_does(folded):
     """To 6e-6 of a width, as is said, and as many reflections later."""
     body = folded("_thin").launcher().path.folded
@@ -120,14 +129,36 @@ def test_a_folded_flight_ends_where_one_from_face_to_face_does(folded):
     assert np.count_nonzero(~same) < 8
 
 
+@cases("crystal", "effects", "folds")
+def test_polarised_light_is_folded_where_no_face_lets_it_out(folded, crystal, effects, folds):
+    """Total reflection turns its field, of which nothing is left when it has scattered."""
+    body = folded(crystal, *effects, polarization="true").launcher().path.folded
+    assert (body is not None) == folds
+    if body is None:
+        return
+    place, direction, length = _flights(4000, 300.0)
+    # not far from the middle, so that even round walls are met head-on
+    place = (place / 16 + _middle_of(body)).astype(np.float32).astype(float)
+    end, flying, number = _ends(body, place, direction, length)
+    every = folded(crystal, *effects).launcher().path.folded
+    as_others = _ends(every, place, direction, length)
+    trapped = number > 0
+    np.testing.assert_array_equal(end[trapped], as_others[0][trapped])
+    np.testing.assert_array_equal(flying[trapped], as_others[1][trapped])
+    np.testing.assert_allclose(
+        end[~trapped], (place + length[:, None] * direction)[~trapped], atol=1e-4
+    )
+    np.testing.assert_array_equal(flying[~trapped], direction.astype(np.float32)[~trapped])
+    leaves = np.abs(direction).max(axis=1) > 1.02 * np.sqrt(1 - 1 / 2.01**2)
+    assert 0.02 < trapped.mean() < 0.8 and 0.2 < leaves.mean()
+    assert not (trapped & leaves).any()
+
+
 @pytest.mark.parametrize(("crystal", "n_out"), [("_cylinder", 1.0), ("_cylinder_lying", 1.46)])
 def test_a_flight_round_a_wall_ends_where_one_from_chord_to_chord_does(folded, crystal, n_out):
     body = folded(crystal).launcher().path.folded
     circle = body.solid.circle
-    across = list(circle.across)
-    middle = np.zeros(3)
-    middle[across] = circle.centre_mm
-    middle[circle.axis] = np.mean([plane.offset for plane in body.solid.planes])
+    across, middle = list(circle.across), _middle_of(body)
     place, direction, length = _flights(4000, MOST_WIDTHS * 2 * circle.radius_mm)
     place *= 0.7 * circle.radius_mm
     away, along = place[:, across], direction[:, across]
