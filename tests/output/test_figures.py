@@ -285,6 +285,7 @@ def test_few_rows_and_few_steps_are_drawn_clearly():
     changed = {"candidates": (by.CANDIDATES[0], *many), "probabilities": probabilities}
     figure = staircase.draw_ranking(by.diagnosis("missing_effect", **changed)).figure
     chances, bars, _ = figure.axes
+    assert figure.get_figwidth() < 12.0  # of a page: 3,300 pixels were drawn
     names = [tick.get_text() for tick in chances.get_yticklabels()]
     assert len(names) == 9 and names[-1] == "and 24 more, none of them likelier"
     # what falls far behind has no bar that is cut off
