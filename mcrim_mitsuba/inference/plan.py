@@ -331,11 +331,11 @@ def _configurations(campaign: Campaign, n_gap: Sequence[float] | None) -> list[d
         by_hand = {*campaign.scene.parameters, *campaign.measurements.switches}
         listed = by_hand & campaign.next_measurements.keys()
         cells = buildable(campaign) if listed else measured
-        cells = [each for place, each in enumerate(cells) if each not in cells[:place]]
+        cells = [row for place, row in enumerate(cells) if row not in cells[:place]]
         if listed or 1 < len(cells) <= PLANNING.most_configurations:
             return _few(cells, "list fewer in [next_measurements]")
         nominal = campaign.scene.parameters.get(GAP_INDEX, 1.0)
-        n_gap = [float(each.get(GAP_INDEX, nominal)) for each in cells]
+        n_gap = [float(row.get(GAP_INDEX, nominal)) for row in cells]
         n_gap = n_gap if len({*n_gap}) > 1 else PLANNING.n_gap
     # what rows switch is as in the first
     switches = {name: measured[0][name] for name in campaign.measurements.switches}
@@ -497,9 +497,9 @@ class Expectation:
         used = [self.candidates[place] for place in chosen]
         light = []
         for line, (at, error) in enumerate(zip(used, errors, strict=True), 1):
-            own, off = as_in_scene(campaign, at.parameters)
+            changed, off = as_in_scene(campaign, at.parameters)
             sigma = at.signal * error
-            light.append(Reading(at.name, at.signal, sigma, own, line=line, without=off))
+            light.append(Reading(at.name, at.signal, sigma, changed, line=line, without=off))
         kept = campaign.measurements.in_use
         readings = (*light, *(r for r in kept if self._counted or r.of_beam))
         columns = tuple(dict.fromkeys(name for row in readings for name in row.parameters))

@@ -168,8 +168,8 @@ def remark_of(diagnosis: Diagnosis, effects: Sequence[str]) -> str:
     sentence += ": what a fit of this file gives holds for this one model"
     if averaged is not None and not campaign.quotes_another:
         sentence += f", and {QUOTED}, {averaged}"
-    own = campaign.remark[: LONGEST_REMARK - len(sentence) - 2]
-    return "; ".join(filter(None, (own, sentence)))
+    users = campaign.remark[: LONGEST_REMARK - len(sentence) - 2]
+    return "; ".join(filter(None, (users, sentence)))
 
 
 def mended_scene(

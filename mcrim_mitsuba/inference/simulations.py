@@ -469,28 +469,28 @@ class CampaignSimulations:
 
         light = [reading for reading in campaign.measurements.readings if not reading.of_beam]
         # a treatment's size is fitted where it is on
-        told = {n: scene[n] for n in self._switched_by if isinstance(scene.get(n), str)}
+        as_usual = {n: scene[n] for n in self._switched_by if isinstance(scene.get(n), str)}
         # what rows say is told, though it be the scene's value
-        told |= {
+        as_usual |= {
             name: scene[name]
             for name in campaign.measurements.columns
             if name in scene and any(r.parameters.get(name) != scene[name] for r in light)
         }
-        found, switched = list[dict[str, Value]](), list[list[str]]()
+        proposals, switched = list[dict[str, Value]](), list[list[str]]()
         for cells in buildable(campaign):
-            own, off = as_in_scene(campaign, cells)
-            proposal = {**own, **{n: v for n, v in told.items() if n not in own}}
+            changed, off = as_in_scene(campaign, cells)
+            proposal = {**changed, **{n: v for n, v in as_usual.items() if n not in changed}}
             if new(proposal):
-                found.append(proposal)
+                proposals.append(proposal)
                 switched.append(states(campaign, off))
-        if len(found) > EXTENT.most_proposals:
+        if len(proposals) > EXTENT.most_proposals:
             self.notes.append(
-                f"of {len(found)} configurations that could be measured next, "
+                f"of {len(proposals)} configurations that could be measured next, "
                 f"{EXTENT.most_proposals} were looked at: restrict [next_measurements]"
             )
         beams = [p for p in _beams(campaign) if new(p)]
         most = slice(EXTENT.most_proposals)
-        return found[most], beams[most], switched[most]
+        return proposals[most], beams[most], switched[most]
 
     def provenance(self) -> Provenance:
         """What was spent so far."""

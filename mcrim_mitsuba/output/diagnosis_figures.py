@@ -47,7 +47,8 @@ _BARS_WIDTHS = (1.9, 2.9)
 _LABEL_PER_CHARACTER = 0.08
 _BARS_WIDTH = sum(_BARS_WIDTHS)
 #: Of a line of an effect's title, and of its size.
-_LETTERS, _SIZE_LETTERS = 26, 32
+_LETTERS = 26
+_SIZE_LETTERS = 32
 #: Height of a size's second line in rows.
 _FURTHER_LINE = 0.5
 #: Rows that are drawn: the likeliest.
@@ -224,8 +225,7 @@ def _beside(row: _Row, brief: bool) -> tuple[str, ...]:
     if (candidate := row.candidate) is None:  # it is no effect
         return ("",) if brief else ("", "")
     lines = (*size_text(candidate, "\n").split("\n"), plausibility(candidate))
-    short = (n if len(n) <= _SIZE_LETTERS else n.replace(" = ", "\n= ") for n in lines)
-    size = "\n".join(short)
+    size = "\n".join(n if len(n) <= _SIZE_LETTERS else n.replace(" = ", "\n= ") for n in lines)
     return (p_text(candidate.p_value),) if brief else (p_text(candidate.p_value), size)
 
 
