@@ -72,13 +72,15 @@ def rows(shrunk: float = 1.0) -> tuple[FittedRow, ...]:
     )
 
 
+#: The campaign of what is made by hand: nothing was added to it.
+AS_IT_CAME = SimpleNamespace(remark="", quotes_another=False)
 #: A fit made by hand has no model, and no profiles.
 NONE = np.zeros((0, 0))
 MINIMUM = cast(
     Minimum,
     SimpleNamespace(
         names=(),
-        statistic=SimpleNamespace(model=SimpleNamespace(readings=())),
+        statistic=SimpleNamespace(model=SimpleNamespace(readings=(), campaign=AS_IT_CAME)),
         weights=SimpleNamespace(errors=SimpleNamespace(tolerances=NONE)),
         weighted_residuals=np.zeros(0),
         precision=NONE,

@@ -29,7 +29,7 @@ from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, Sample, own_name, read_samples
 from mcrim_mitsuba.campaign.tolerances import Tolerance, read_tolerances, wrong_numbers
-from mcrim_mitsuba.campaign.treatments import switchable, with_treatments
+from mcrim_mitsuba.campaign.treatments import switchable, taken_off, with_treatments
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
 from mcrim_mitsuba.core.files import READS, collected, is_there
 from mcrim_mitsuba.core.numbers import (
@@ -198,6 +198,11 @@ class Campaign:
     def ndf(self) -> int:
         """Degrees of freedom: readings in use + priors - free parameters."""
         return len(self.measurements.in_use) + len(self.priors) - len(self.free)
+
+    @property
+    def quotes_another(self) -> bool:
+        """Whether it was mended, and its remark has the light yield to quote."""
+        return schema.QUOTED in self.remark
 
     def with_starts(self, values: Mapping[str, float]) -> Campaign:
         """The campaign with other starts of its fit, drawn into the bounds; others stay."""
@@ -556,7 +561,7 @@ def _read_next(table: TomlTable, campaign: Campaign) -> dict[str, Any]:
                 mend = f"write {name} = {{ n_gap = 20 }}"
                 raise table.refusal(name, f"{name} is not a table", mend)
             for of, minutes in values.items():
-                if of not in campaign.scene.parameters:
+                if of not in {*campaign.scene.parameters, *campaign.measurements.switches}:
                     problem = f"{name}: {of} is not a parameter of {campaign.scene.path.name}"
                     raise table.refusal(name, problem, did_you_mean(of, campaign.scene.parameters))
                 if not is_plain_number(minutes) or not 0.0 <= minutes < math.inf:
@@ -576,8 +581,12 @@ def _wrong_next(name: str, values: Any, campaign: Campaign) -> tuple[str, str] |
     scene, parameters = campaign.scene, campaign.parameters
     present = {**BEAM_PARAMETERS, **scene.parameters}
     if name in campaign.measurements.switches:
-        mend = f"remove {name}: what is proposed has the parts of the first row"
-        return f"{name} is a column that switches a part of the scene", mend
+        if not taken_off(campaign, [name]):
+            mend = f"remove {name}, or name it in effects, which puts it into the bench"
+            return f"{name} switches an effect that is not in the bench", mend
+        if not isinstance(values, list) or not values or any(v not in (0, 1) for v in values):
+            return f"{name} is not a list of 0 and 1", f"write {name} = [0, 1]: without it, with it"
+        return None
     if name not in present:
         numbers = [n for n, value in scene.parameters.items() if not isinstance(value, bool | str)]
         return (

@@ -61,8 +61,9 @@ SAME_AS = "same_as"
 
 #: Characters of a title or a unit, at most: they stand in one line of a figure.
 LONGEST_WORDS = 100
-#: The same of a remark.
+#: The same of a remark, and what one says that has another light yield than the file's own.
 LONGEST_REMARK = 1000
+QUOTED = "the light yield to quote is that over all that the readings allow"
 
 _FILE: dict[str, Any] = {"type": "string", "minLength": 1}
 _VALUES = {"type": "array", "items": {"type": "number"}, "minItems": 1}

@@ -12,7 +12,7 @@ from typing import Any
 
 from mcrim_mitsuba.core import files, table_text
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.numbers import Value, parse_number
+from mcrim_mitsuba.core.numbers import Value, parse_number, value_text
 from mcrim_mitsuba.core.table_text import is_number, shown
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, refused_of_beam
 from mcrim_mitsuba.scene.values import parse_like
@@ -428,7 +428,9 @@ class _Cells(dict[str, str]):
             if not cell and self.get(SAMPLE):
                 continue  # as the campaign says of the sample
             if not cell:
-                raise self.refusal(name, "the cell is empty", "write the parameter's value")
+                usual = value_text(scene_parameters[name])
+                mend = f"write {usual}, the scene's value, if it is meant: no value is taken over"
+                raise self.refusal(name, "the cell is empty", mend)
             if name in BEAM_PARAMETERS and kind == LIGHT:
                 raise self.refusal(name, f"{name} of a reading of light", "empty the cell")
             parameters[name] = parse_like(name, cell, scene_parameters[name], **self.place(name))

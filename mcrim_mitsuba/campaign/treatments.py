@@ -10,13 +10,12 @@ paper or a mirror, which is clear as air in rows that are without it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.campaign import entries as schema
-from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value
 from mcrim_mitsuba.core.toml_document import TomlDocument
@@ -70,16 +69,14 @@ def _sheets_of(scene: SceneFile) -> list[str]:
     ]
 
 
-def states(campaign: Campaign) -> list[str]:
-    """What some rows have and others not, as it is in the first one of light, in words."""
+def states(campaign: Campaign, without: Collection[str]) -> list[str]:
+    """What some rows have and others not, as it is `without` some of it, in words."""
     rows, parts = campaign.measurements.readings, _parts_of(campaign.scene)
-    first = next((row for row in rows if not row.of_beam), rows[0])
     words, lone = [], len({wrapping for wrapping, _ in parts.values()}) == 1
     for name in campaign.measurements.switches:
-        if not any(name in row.without for row in rows):
+        off = name in without
+        if not off and not any(name in row.without for row in rows):
             continue
-        # another sample is no bench of the campaign's own
-        off = name in first.without and not first.sample
         if name in parts and lone:
             of = "" if parts[name][0] == name else f"{name} "
             words.append(f"{of}{'bare' if off else 'wrapped'}")
@@ -125,48 +122,62 @@ def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
         if start is not None:
             editor.set_default(size, start)
     scene = scene.edited(editor.finished()) if sizes else scene
-    out = {
-        name: campaign.catalogue[name].switched_off or {}
-        for name in switches
-        if name in campaign.catalogue and campaign.catalogue[name].is_in(scene)
-    }
-    campaign = _as_measured(
-        replace(campaign, scene=scene),
-        lambda r: {n: value for name in r.without for n, value in out.get(name, {}).items()},
-    )
     effects = tuple(name for name in campaign.effects if name not in treatments)
-    return replace(campaign, effects=effects, treatments=treatments, ties=ties)
+    campaign = replace(campaign, scene=scene, effects=effects, treatments=treatments, ties=ties)
+    off = {without: taken_off(campaign, without) for without in {row.without for row in readings}}
+    rows = tuple(replace(r, parameters={**r.parameters, **off[r.without]}) for r in readings)
+    return replace(campaign, measurements=replace(campaign.measurements, readings=rows))
 
 
-def _as_measured(campaign: Campaign, of_row: Callable[[Reading], dict[str, Value]]) -> Campaign:
-    """The campaign with further scene parameters of each of its rows."""
-    measurements = campaign.measurements
-    readings = tuple(
-        replace(row, parameters={**row.parameters, **of_row(row)}) for row in measurements.readings
+def as_in_scene(
+    campaign: Campaign, cells: Mapping[str, Value]
+) -> tuple[dict[str, Value], tuple[str, ...]]:
+    """Scene parameters of a configuration given by cells of columns, and what is off in it."""
+    switches = campaign.measurements.switches
+    off = tuple(name for name in switches if not cells.get(name, True))
+    by_hand = {name: value for name, value in cells.items() if name not in switches}
+    return by_hand | taken_off(campaign, off), off
+
+
+def taken_off(campaign: Campaign, without: Iterable[str]) -> dict[str, Value]:
+    """Parameters of the campaign's scene that take out of it what its columns switch."""
+    scene, parts, values = campaign.scene, _parts_of(campaign.scene), dict[str, Value]()
+    for name in without:
+        if name in parts:
+            wrapping, faces = parts[name]
+            parameter, usual = _bare_faces(SceneEditor(scene, {}), wrapping)
+            bare = f"{values.get(parameter, usual)} {faces}".replace(",", " ").split()
+            values[parameter] = " ".join(face for face in dict.fromkeys(bare) if face != "none")
+        elif f"{name}_surface" in scene.parameters:
+            values[f"{name}_surface"] = f"{name}_clear"
+        elif name in campaign.catalogue and campaign.catalogue[name].is_in(scene):
+            values |= campaign.catalogue[name].switched_off or {}
+    return values
+
+
+def _bare_faces(editor: SceneEditor, name: str) -> tuple[str, str]:
+    """The parameter that says which faces a wrapping leaves bare, and its usual value."""
+    wrapping = next(w for w in editor.all("shape", "wrapping") if w.get("id", "") == name)
+    part = wrapping.named("without")
+    given = "" if part is None else part.get("value", "")
+    parameter = (
+        given.removeprefix("$") if given.startswith("$") else f"{name or 'wrapping'}_without"
     )
-    return replace(campaign, measurements=replace(measurements, readings=readings))
+    return parameter, str(editor.scene.parameters.get(parameter, given or "none"))
 
 
 def _with_bare_faces(campaign: Campaign) -> Campaign:
     """The campaign with the faces that its rows leave bare as a parameter of each wrapping."""
     parts = _parts_of(campaign.scene)
-    switched = {name: parts[name] for name in campaign.measurements.switches if name in parts}
+    switched = {parts[name][0] for name in campaign.measurements.switches if name in parts}
     if not switched:
         return campaign
     editor = SceneEditor(campaign.scene, {})
-    parameters: dict[str, tuple[str, str]] = {}
-    for wrapping in editor.shapes:
-        name = wrapping.get("id", "")
-        if wrapping.type != "wrapping" or name not in {of for of, _ in switched.values()}:
-            continue
-        part = wrapping.named("without")
+    for wrapping in editor.all("shape", "wrapping"):
+        name, part = wrapping.get("id", ""), wrapping.named("without")
+        parameter, usual = _bare_faces(editor, name)
         given = "" if part is None else part.get("value", "")
-        parameter = (
-            given.removeprefix("$") if given.startswith("$") else f"{name or 'wrapping'}_without"
-        )
-        usual = str(campaign.scene.parameters.get(parameter, given or "none"))
-        parameters[name] = parameter, usual
-        if given == f"${parameter}":
+        if name not in switched or given == f"${parameter}":
             continue
         editor.declare(parameter, usual, f"Faces that {name or 'the wrapping'} leaves bare")
         if part is None:
@@ -174,20 +185,7 @@ def _with_bare_faces(campaign: Campaign) -> Campaign:
             set_part(editor, [wrapping], "without", xml)
         else:
             editor.set_attribute(part, "value", f"${parameter}")
-
-    def bare_faces(row: Reading) -> dict[str, Value]:
-        values: dict[str, Value] = {}
-        off = [switched[n] for n in row.without if n in switched]
-        for name, (parameter, usual) in parameters.items() if off else ():
-            bare = [usual] if usual != "none" else []
-            bare += [faces for of, faces in off if of == name]
-            words = dict.fromkeys(" ".join(bare).replace(",", " ").split())
-            values[parameter] = " ".join(words) or "none"
-        return values
-
-    return _as_measured(
-        replace(campaign, scene=campaign.scene.edited(editor.finished())), bare_faces
-    )
+    return replace(campaign, scene=campaign.scene.edited(editor.finished()))
 
 
 def _with_clear_sheets(campaign: Campaign) -> Campaign:
@@ -207,10 +205,7 @@ def _with_clear_sheets(campaign: Campaign) -> Campaign:
         editor.insert_after(editor.root.elements[editor.root.elements.index(shape) - 1], before)
         editor.replace(worn, f'<ref id="${name}_surface"/>')
         editor.declare(f"{name}_surface", there, f"What {name} wears: {name}_clear takes it off")
-    return _as_measured(
-        replace(campaign, scene=campaign.scene.edited(editor.finished())),
-        lambda row: {f"{n}_surface": f"{n}_clear" for n in sheets if n in row.without},
-    )
+    return replace(campaign, scene=campaign.scene.edited(editor.finished()))
 
 
 def _read_ties(document: TomlDocument, campaign: Campaign) -> dict[str, str]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import (
     ALL_DETECTORS,
@@ -396,7 +396,7 @@ def _refuse_axes(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
                 f"the scene has no parameter {name}",
                 "a table varies n_gap, alpha_abs_per_cm and alpha_scat_per_cm: declare it"
                 if usual
-                else did_you_mean(name, file.parameters),
+                else file.mend_of(name),
                 path=file.path,
             )
         if name in axes and name in file.overrides:

@@ -234,11 +234,12 @@ def _offers(
     Looks are for effects that lead.
     """
     sigmas = np.broadcast_to(proposals.relative_sigma, len(proposals.configurations))
-    offers = []
-    for parameters, sigma in zip(proposals.configurations, sigmas.tolist(), strict=True):
+    offers, states = [], proposals.switched or [[]] * len(sigmas)
+    for parameters, switched, sigma in zip(
+        proposals.configurations, states, sigmas.tolist(), strict=True
+    ):
         set_by_hand = {n: v for n, v in parameters.items() if n not in proposals.switched_by}
-        phrases = [configuration_words(set_by_hand, proposals.comments)]
-        phrases += proposals.switched if parameters.get(KIND, LIGHT) == LIGHT else []
+        phrases = [configuration_words(set_by_hand, proposals.comments), *switched]
         offers.append(_Offer(READING, ", ".join(filter(None, phrases)), sigma, parameters))
     suspects = (hypothesis.suspect for hypothesis, _ in likely if hypothesis.suspect)
     wrong = {label for suspect in suspects for label in suspect.labels}

@@ -2,28 +2,30 @@
 
 The campaign is fitted as it is. At its solution the model predicts the signals of candidate
 configurations, counting statistics and the mountings' scatter predict their errors, and the fit's
-own Fisher information, priors included, predicts the errors of what would be fitted to them. The
-simulation's error counts as none: photons are cheap. What the model neglects comes on top: what the
-readings of the proposed plan could tell of it is rehearsed.
+own Fisher information, priors and the readings so far included, predicts the errors of what would
+be fitted to all of them. The simulation's error counts as none: photons are cheap. What the model
+neglects comes on top: what the readings of the proposed plan could tell of it is rehearsed.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, combinations, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.campaign.treatments import as_in_scene, states
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge, said
-from mcrim_mitsuba.core.rounding import p_equals
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value, judge, said
+from mcrim_mitsuba.core.rounding import p_equals, short_text
 from mcrim_mitsuba.core.run import Run, one_thread
 from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.drivers import settle
@@ -34,16 +36,19 @@ from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.model import Model
 from mcrim_mitsuba.inference.rehearsal import Capability
 from mcrim_mitsuba.inference.settings import PLANNING
-from mcrim_mitsuba.inference.simulations import CampaignSimulations
-from mcrim_mitsuba.inference.statistic import Statistic, is_misfit, undetermined
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, buildable
+from mcrim_mitsuba.inference.statistic import Statistic, Weights, is_misfit, undetermined
 from mcrim_mitsuba.inference.weighing import weigh_hypotheses
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
+from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX
 
 #: Origins of the light yield's error; that of a prior goes on with its parameter.
 PRIOR = "prior of "
 EVENTS_ORIGIN, MOUNTINGS_ORIGIN, EFFICIENCY = "events", "mountings", "detector efficiency"
-STATISTICAL = (EVENTS_ORIGIN, MOUNTINGS_ORIGIN)
+#: Of the campaign's readings of light, where these count.
+SO_FAR = "readings so far"
+STATISTICAL = (EVENTS_ORIGIN, MOUNTINGS_ORIGIN, SO_FAR)
 
 
 @dataclass(frozen=True)
@@ -69,33 +74,30 @@ class Conditions:
 class PlanCandidate:
     """A configuration that may be measured."""
 
-    #: What differs from the scene.
-    parameters: dict[str, float]
+    #: What differs from the scene, and 1 or 0 of what columns switch.
+    parameters: dict[str, Value]
     #: Photons per event that the model predicts at the solution.
     signal: float
     #: Error of the mean that a fit finds times the square root of the events in the band:
     #: the band's width, and what the fitted background and the window lose.
     event_sigma: float
-
-    @property
-    def name(self) -> str:
-        """``gap index 1.46``."""
-        return ", ".join(said(name, value) for name, value in self.parameters.items())
+    #: In words: ``gap index 1.46, wrapped``.
+    name: str
 
 
 @dataclass(frozen=True)
 class ExpectedError:
     """Expected relative standard error of a parameter."""
 
-    #: By origin: ``events``, ``mountings``, ``prior of NAME`` (a parameter, a number of the bench,
-    #: or the label of a transmittance that was measured) and, of the light yield,
-    #: ``detector efficiency`` or what makes its error; they add up in quadrature.
+    #: By origin: ``events``, ``mountings``, ``readings so far``, ``prior of NAME`` (a parameter, a
+    #: number of the bench, or the label of a transmittance that was measured) and, of the light
+    #: yield, ``detector efficiency`` or what makes its error; they add up in quadrature.
     parts: dict[str, float]
 
     @property
     def statistical(self) -> float:
         """What more events and mountings lower."""
-        return math.hypot(self.parts[EVENTS_ORIGIN], self.parts[MOUNTINGS_ORIGIN])
+        return math.hypot(*(self.parts.get(origin, 0.0) for origin in STATISTICAL))
 
     @property
     def systematic(self) -> float:
@@ -165,6 +167,8 @@ class Planning:
     capability: Capability | None = None
     #: These effects in words.
     titles: dict[str, str] = field(default_factory=dict)
+    #: What the readings so far leave of the light yield; None where plans start anew.
+    so_far: ExpectedError | None = None
 
     @property
     def proposed(self) -> Plan:
@@ -202,7 +206,7 @@ class Planning:
         names = {name for each in chosen for name in each.parameters}
         if len(names) == 1:
             (name,) = names
-            return said(name, ", ".join(f"{each.parameters[name]:g}" for each in chosen))
+            return said(name, ", ".join(short_text(each.parameters[name]) for each in chosen))
         return "; ".join(each.name for each in chosen)
 
 
@@ -210,29 +214,30 @@ def plan(
     campaign: str | Path | Campaign,
     wanted: float,
     *,
-    n_gap: Sequence[float] = PLANNING.n_gap,
+    n_gap: Sequence[float] | None = None,
     mountings: Sequence[int] = PLANNING.mountings,
     events: Sequence[float] = PLANNING.events,
     conditions: Conditions | None = None,
+    anew: bool = False,
     run: Run = Run(),
 ) -> Planning:
-    """What every set of couplings, number of mountings and of events would bring.
+    """What every set of configurations, number of mountings and of events would bring.
 
-    Parameters as of the public function `plan`. The campaign's readings tell where it stands; plans
-    start anew, with its priors.
+    Parameters as of the public function `plan`. Plans add to the campaign's readings, or start
+    `anew`, with its priors: its readings then tell where it stands alone.
 
     Raises InputError as `calibrate`; if a coupling cannot be measured, no peak would stand out of
     the pedestal, or no set of couplings determines the parameters.
     """
     campaign = as_campaign(campaign)
-    configurations = _couplings(campaign, n_gap)
     _refuse_unplannable(campaign)
+    configurations = _configurations(campaign, n_gap)
     conditions = conditions or measured_conditions(campaign)
     simulations = CampaignSimulations(campaign, run)
     fit = simulations.fit()
-    expected = Expectation(
-        fit, simulations.predict_at(configurations, tolerances=True)(()), configurations, conditions
-    )
+    in_scene = [as_in_scene(campaign, cells)[0] for cells in configurations]
+    further = simulations.predict_at(in_scene, tolerances=True)(())
+    expected = Expectation(fit, further, configurations, conditions, counted=not anew)
     plans, floors, without = list[Plan](), {}, []
     places = range(len(expected.candidates))
     for chosen in chain.from_iterable(combinations(places, n + 1) for n in places):
@@ -256,7 +261,8 @@ def plan(
         floors=floors,
         solution=fit.parameters,
         undetermined=tuple(without),
-        notes=(*_doubt(fit), *simulations.provenance().notes),
+        notes=(*filter(None, [campaign.remark]), *_doubt(fit), *simulations.provenance().notes),
+        so_far=None if anew or not expected.determined(()) else expected.errors((), 1, 1)[0],
     )
     return _rehearsed(planning, expected.measured(planning.proposed), fit, run)
 
@@ -313,8 +319,39 @@ def _rehearsed(planning: Planning, proposed: Campaign, fit: Calibration, run: Ru
     )
 
 
-def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[dict[str, float]]:
-    """Configurations with these couplings, each once."""
+def _configurations(campaign: Campaign, n_gap: Sequence[float] | None) -> list[dict[str, Value]]:
+    """Cells of what may be measured: with these couplings, or else as the campaign has it.
+
+    That is what its ``[next_measurements]`` lists, or the configurations of its readings; of many
+    their couplings, and usual couplings where there is but one.
+    """
+    rows = [campaign.cells(row) for row in campaign.measurements.in_use if not row.of_beam]
+    measured = [{n: v for n, v in cells.items() if v is not None} for cells in rows]
+    if n_gap is None:
+        by_hand = {*campaign.scene.parameters, *campaign.measurements.switches}
+        listed = by_hand & campaign.next_measurements.keys()
+        cells = buildable(campaign) if listed else measured
+        cells = [row for place, row in enumerate(cells) if row not in cells[:place]]
+        if listed or 1 < len(cells) <= PLANNING.most_configurations:
+            return _few(cells, "list fewer in [next_measurements]")
+        nominal = campaign.scene.parameters.get(GAP_INDEX, 1.0)
+        n_gap = [float(row.get(GAP_INDEX, nominal)) for row in cells]
+        n_gap = n_gap if len({*n_gap}) > 1 else PLANNING.n_gap
+    # what rows switch is as in the first
+    switches = {name: measured[0][name] for name in campaign.measurements.switches}
+    return [{GAP_INDEX: value, **switches} for value in _couplings(campaign, n_gap)]
+
+
+def _few(cells: list[Any], mend: str) -> list[Any]:
+    """These, unless they have too many combinations."""
+    if len(cells) > PLANNING.most_configurations:
+        problem = f"{len(cells)} configurations have too many combinations"
+        raise InputError(problem, f"{mend}: {PLANNING.most_configurations} at most")
+    return cells
+
+
+def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[float]:
+    """Couplings that can be measured, each once."""
     if not isinstance(campaign.scene.parameters.get("n_gap"), float):
         problem = "the scene has no number n_gap"
         raise InputError(problem, "declare it as a <default> of the gap", path=campaign.scene.path)
@@ -322,13 +359,10 @@ def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[dict[str, flo
         problem = "n_gap is fitted: a measurement cannot set it"
         raise InputError(problem, "hold it with fixed = true", path=campaign.path)
     values = list(dict.fromkeys(float(value) for value in n_gap))
-    if len(values) > PLANNING.most_configurations:
-        problem = f"{len(values)} couplings have too many combinations"
-        raise InputError(problem, f"give {PLANNING.most_configurations} at most")
     for value in values:
         if (wrong := judge("n_gap", value)) is not None:
             raise InputError(f"n_gap = {value:g}: {wrong[1]}", wrong[2])
-    return [{"n_gap": value} for value in values]
+    return _few(values, "give fewer")
 
 
 # ---- what counting statistics and mountings do to a reading ----
@@ -384,15 +418,20 @@ class Expectation:
         self,
         fit: Calibration,
         further: Model,
-        configurations: Sequence[dict[str, float]],
+        configurations: Sequence[Mapping[str, Value]],
         conditions: Conditions,
+        *,
+        counted: bool = False,
     ) -> None:
         prediction = further.predict(fit.theta, check=True, covariance=True)
-        candidates = []
-        for parameters, signal in zip(configurations, prediction.signal.tolist(), strict=True):
-            with placed(", ".join(f"{name} = {value:g}" for name, value in parameters.items())):
+        campaign, candidates = fit.model.campaign, []
+        switches = campaign.measurements.switches
+        for cells, signal in zip(configurations, prediction.signal.tolist(), strict=True):
+            by_hand = [said(name, value) for name, value in cells.items() if name not in switches]
+            name = ", ".join(by_hand + states(campaign, as_in_scene(campaign, cells)[1]))
+            with placed(name):
                 event = event_sigma(signal, conditions)
-            candidates.append(PlanCandidate(parameters, signal, event))
+            candidates.append(PlanCandidate(dict(cells), signal, event, name))
         self.candidates = tuple(candidates)
         self._fit, self._scatter = fit, conditions.mounting_scatter
         # offsets of the bench's numbers, in their tolerances, are parameters with priors
@@ -408,19 +447,27 @@ class Expectation:
         statistic = fit.minimum.statistic
         priors = np.diag([*np.sqrt(statistic.prior_weight), *np.ones(len(numbers))])
         origins = (*(PRIOR + name for name in fit.names), *numbers)
-        # by origin, (free + numbers,) d known / d parameter, in standard errors of what is known
+        # by origin, (rows, free + numbers) d known / d parameter, in standard errors of what is
+        # known, independent of each other
         self._known = {
-            origin: row for origin, row in zip(origins, priors, strict=True) if row.any()
+            origin: row[None] for origin, row in zip(origins, priors, strict=True) if row.any()
         }
         # transmittances are not measured again: what they told goes on, like priors
-        beams = [reading.of_beam for reading in fit.model.readings if reading.use]
-        measured = np.hstack([fit.minimum.slopes, fit.minimum.weights.errors.tolerances])
-        measured /= np.sqrt(statistic.variance)[:, None]
+        beams = np.array([reading.of_beam for reading in fit.model.readings if reading.use])
+        errors = fit.minimum.weights.errors
+        measured = np.hstack([fit.minimum.slopes, errors.tolerances])
+        relative = measured / np.sqrt(statistic.variance)[:, None]
         self._known |= {
-            PRIOR + label: row
-            for label, row, of_beam in zip(statistic.labels, measured, beams, strict=True)
+            PRIOR + label: row[None]
+            for label, row, of_beam in zip(statistic.labels, relative, beams, strict=True)
             if of_beam
         }
+        self._counted = counted
+        if counted:
+            # the simulation's errors count as none, the numbers' offsets are parameters here
+            none = np.zeros((len(beams), 0))
+            weights = Weights(replace(errors, simulated=none, tolerances=none))
+            self._known[SO_FAR] = weights.whiten((measured * ~beams[:, None]).T).T
 
     def determined(self, chosen: Sequence[int]) -> bool:
         """Whether these configurations, and the priors, determine all parameters."""
@@ -431,7 +478,7 @@ class Expectation:
         """The light yield's error with readings of no error."""
         nothing = np.zeros(len(chosen))
         error = self._parts(SCALE, chosen, nothing + PLANNING.perfect, nothing)
-        return ExpectedError(error.parts | dict.fromkeys(STATISTICAL, 0.0))
+        return ExpectedError({**error.parts, EVENTS_ORIGIN: 0.0, MOUNTINGS_ORIGIN: 0.0})
 
     def errors(
         self, chosen: Sequence[int], mountings: int, events: float
@@ -444,16 +491,17 @@ class Expectation:
         return light_yield, self._parts(ALPHA_SCAT, chosen, of_events, of_mountings)
 
     def measured(self, plan: Plan) -> Campaign:
-        """The campaign with a plan's readings instead of its own; transmittances stay."""
+        """The campaign with a plan's readings besides those that count; transmittances stay."""
         campaign, chosen = self._fit.model.campaign, plan.configurations
         errors = np.hypot(*self._of_readings(chosen, plan.mountings, plan.events)).tolist()
         used = [self.candidates[place] for place in chosen]
-        light = (
-            Reading(at.name, at.signal, at.signal * error, {**at.parameters}, line=line)
-            for line, (at, error) in enumerate(zip(used, errors, strict=True), 1)
-        )
-        beams = (reading for reading in campaign.measurements.in_use if reading.of_beam)
-        readings = (*light, *beams)
+        light = []
+        for line, (at, error) in enumerate(zip(used, errors, strict=True), 1):
+            changed, off = as_in_scene(campaign, at.parameters)
+            sigma = at.signal * error
+            light.append(Reading(at.name, at.signal, sigma, changed, line=line, without=off))
+        kept = campaign.measurements.in_use
+        readings = (*light, *(r for r in kept if self._counted or r.of_beam))
         columns = tuple(dict.fromkeys(name for row in readings for name in row.parameters))
         measured = replace(campaign.measurements, columns=columns, readings=readings)
         return replace(campaign, measurements=measured)
@@ -478,7 +526,7 @@ class Expectation:
         parts = {
             EVENTS_ORIGIN: np.linalg.norm(response * of_events),
             MOUNTINGS_ORIGIN: np.linalg.norm(response * of_mountings),
-            **{origin: abs(covariance @ row) for origin, row in self._known.items()},
+            **{of: np.linalg.norm(covariance @ rows.T) for of, rows in self._known.items()},
         }
         relative = {n: float(part / abs(self._fit.theta[place])) for n, part in parts.items()}
         known = self._fit.model.campaign.light_yield
@@ -490,5 +538,6 @@ class Expectation:
 
     def _information(self, chosen: Sequence[int], relative: Array) -> Array:
         """(free, free) Fisher's, of readings with these relative errors and of what is known."""
-        rows = np.array([*self._slopes[list(chosen)] / relative[:, None], *self._known.values()])
+        chosen_slopes = self._slopes[list(chosen)] / relative[:, None]
+        rows = np.vstack([chosen_slopes, *self._known.values()])
         return rows.T @ rows

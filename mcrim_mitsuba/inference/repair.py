@@ -10,6 +10,7 @@ from pathlib import Path
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
+from mcrim_mitsuba.campaign.entries import LONGEST_REMARK, QUOTED
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, refuse_to_replace, write_text
 from mcrim_mitsuba.core.run import Provenance, Run
@@ -149,7 +150,12 @@ def mended_files(
 
 
 def remark_of(diagnosis: Diagnosis, effects: Sequence[str]) -> str:
-    """What every verb repeats of a campaign that was mended so: other models are possible."""
+    """What every verb repeats of a campaign that was mended so: other models are possible.
+
+    It follows what the campaign's own remark says, which has the light yield to quote if an
+    earlier repair wrote it.
+    """
+    campaign = diagnosis.baseline.model.campaign
     averaged, words = diagnosis.light_yield_averaged, []
     if len(diagnosis.leading_sets) > 1:
         words.append(f"the first of {len(diagnosis.leading_sets)} explanations that lead")
@@ -159,12 +165,11 @@ def remark_of(diagnosis: Diagnosis, effects: Sequence[str]) -> str:
     names = " and ".join(diagnosis.titles.get(name, name) for name in effects)
     sentence = f"{names} {'were' if len(effects) > 1 else 'was'} added by repair"
     sentence += f" ({', '.join(words)})" if words else ""
-    if averaged is None:
-        return f"{sentence}: what a fit of this file gives holds for this one model"
-    return (
-        f"{sentence}: what a fit of this file gives holds for this one model, and the light yield "
-        f"to quote is that over all that the readings allow, {averaged}"
-    )
+    sentence += ": what a fit of this file gives holds for this one model"
+    if averaged is not None and not campaign.quotes_another:
+        sentence += f", and {QUOTED}, {averaged}"
+    users = campaign.remark[: LONGEST_REMARK - len(sentence) - 2]
+    return "; ".join(filter(None, (users, sentence)))
 
 
 def mended_scene(

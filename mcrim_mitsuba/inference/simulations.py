@@ -15,7 +15,7 @@ import numpy as np
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.entries import NEXT_MINUTES, NEXT_SIGMA
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE, Reading
-from mcrim_mitsuba.campaign.treatments import states
+from mcrim_mitsuba.campaign.treatments import as_in_scene, states, taken_off
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, SOURCE_Z, Value
@@ -74,8 +74,8 @@ class MeasurementProposals:
     comments: Mapping[str, str] = field(default_factory=dict)
     #: The scene's own values, from which nothing is changed.
     own: Mapping[str, Value] = field(default_factory=dict)
-    #: What rows switch, as all of these of light have it, in words; and the parameters that do it.
-    switched: Sequence[str] = ()
+    #: What rows switch, as each of these has it, in words; and the parameters that do it.
+    switched: Sequence[Sequence[str]] = ()
     switched_by: Collection[str] = ()
 
     def predict(self, effects: tuple[str, ...], thetas: Array, rows: Sequence[int]) -> Array:
@@ -356,7 +356,9 @@ class CampaignSimulations:
 
     def proposals(self) -> MeasurementProposals:
         """What could be measured next; it is simulated when it is asked for."""
-        light, beams = self._not_measured()
+        light, beams, switched = self._not_measured()
+        minutes = self.campaign.next_measurements.get(NEXT_MINUTES, {})
+        of_parts = [(taken_off(self.campaign, [name]), of) for name, of in minutes.items()]
         sigmas = [self._usual_sigma(of_beam=False)] * len(light)
         sigmas += [self._usual_sigma(of_beam=True)] * len(beams)
         return MeasurementProposals(
@@ -364,10 +366,10 @@ class CampaignSimulations:
             [self.predict_at(kind, EXTENT.proposed_part) for kind in (light, beams) if kind],
             self._repeated(),
             np.array(sigmas),
-            minutes=self.campaign.next_measurements.get(NEXT_MINUTES, {}),
+            minutes={n: of for off, of in of_parts for n in off} | minutes,
             comments={n: known.comment for n, known in self.campaign.scene.defaults.items()},
             own={**BEAM_PARAMETERS, **self.campaign.values},
-            switched=states(self.campaign),
+            switched=[*switched, *([] for _ in beams)],
             switched_by=self._switched_by,
         )
 
@@ -442,8 +444,13 @@ class CampaignSimulations:
 
         return model
 
-    def _not_measured(self) -> tuple[list[dict[str, Value]], list[dict[str, Value]]]:
-        """What the laboratory can build and did not measure: of light, and transmittances."""
+    def _not_measured(
+        self,
+    ) -> tuple[list[dict[str, Value]], list[dict[str, Value]], list[list[str]]]:
+        """What the laboratory can build and did not measure: of light, and transmittances.
+
+        Last, in words, what of the things that rows switch those of light have.
+        """
         campaign = self.campaign
         scene: dict[str, Value] = {**BEAM_PARAMETERS, **campaign.values}
 
@@ -461,33 +468,29 @@ class CampaignSimulations:
             )
 
         light = [reading for reading in campaign.measurements.readings if not reading.of_beam]
-        # what rows switch stays as in the first: all of it at once may be no bench of theirs
-        switched = light[0].parameters if light and not light[0].sample else {}
-        as_first = {
-            name: switched.get(name, scene[name])
-            for name in self._switched_by
-            # a treatment's size is fitted where it is on
-            if name in switched or isinstance(scene.get(name), str)
-        }
+        # a treatment's size is fitted where it is on
+        as_usual = {n: scene[n] for n in self._switched_by if isinstance(scene.get(n), str)}
         # what rows say is told, though it be the scene's value
-        varied = {
+        as_usual |= {
             name: scene[name]
             for name in campaign.measurements.columns
             if name in scene and any(r.parameters.get(name) != scene[name] for r in light)
         }
-        found = [
-            {**p, **{n: v for n, v in {**varied, **as_first}.items() if n not in p}}
-            for p in buildable(campaign)
-        ]
-        found = [p for p in found if new(p)]
-        if len(found) > EXTENT.most_proposals:
+        proposals, switched = list[dict[str, Value]](), list[list[str]]()
+        for cells in buildable(campaign):
+            changed, off = as_in_scene(campaign, cells)
+            proposal = {**changed, **{n: v for n, v in as_usual.items() if n not in changed}}
+            if new(proposal):
+                proposals.append(proposal)
+                switched.append(states(campaign, off))
+        if len(proposals) > EXTENT.most_proposals:
             self.notes.append(
-                f"of {len(found)} configurations that could be measured next, "
+                f"of {len(proposals)} configurations that could be measured next, "
                 f"{EXTENT.most_proposals} were looked at: restrict [next_measurements]"
             )
-        return found[: EXTENT.most_proposals], [p for p in _beams(campaign) if new(p)][
-            : EXTENT.most_proposals
-        ]
+        beams = [p for p in _beams(campaign) if new(p)]
+        most = slice(EXTENT.most_proposals)
+        return proposals[most], beams[most], switched[most]
 
     def provenance(self) -> Provenance:
         """What was spent so far."""
@@ -567,9 +570,24 @@ def spent_together(spent: Sequence[Provenance], notes: Iterable[str] = ()) -> Pr
 
 
 def buildable(campaign: Campaign) -> list[dict[str, Value]]:
-    """Configurations that may be proposed, each as what differs from the scene."""
+    """Configurations that may be proposed, as what differs from the scene and cells of switches.
+
+    What rows switch stays as in the first, unless the campaign says what may be built of it: all
+    of it at once may be no bench of theirs.
+    """
+    light = (reading for reading in campaign.measurements.readings if not reading.of_beam)
+    first = next(light, None)
+    # another sample is no bench of the campaign's own
+    off = first.without if first and not first.sample else ()
+    as_first = {name: float(name not in off) for name in campaign.measurements.switches}
+    return [{**as_first, **cells} for cells in _buildable(campaign)]
+
+
+def _buildable(campaign: Campaign) -> list[dict[str, Value]]:
+    """These without what only the first row says."""
     scene = campaign.scene.parameters
-    given = {name: v for name, v in campaign.next_measurements.items() if name in scene}
+    names = {*scene, *campaign.measurements.switches}
+    given = {name: v for name, v in campaign.next_measurements.items() if name in names}
     if given or BEAM_PARAMETERS.keys() & campaign.next_measurements.keys():
         if not given:
             return []
@@ -639,7 +657,7 @@ def _beams(campaign: Campaign) -> list[dict[str, Value]]:
     """Transmittances that may be proposed, each as what tells it from the campaign's own."""
     allowed = campaign.next_measurements
     given = {name: values for name, values in allowed.items() if name in BEAM_PARAMETERS}
-    if not given and any(name in campaign.scene.parameters for name in allowed):
+    if not given and any(name not in (NEXT_SIGMA, NEXT_MINUTES) for name in allowed):
         return []
     try:
         spectrophotometer_of(campaign.scene)

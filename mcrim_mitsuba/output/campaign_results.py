@@ -285,6 +285,7 @@ class PlanResult(Result, Planning):
             "cheapest": self._plan(self.cheapest),
             "cheapest_statistical": self._plan(self.cheapest_statistical),
             "proposed": self._plan(self.proposed),
+            "so_far": self.so_far,
             "verdict": sentences.verdict(self),
             **attributes(self, "capability titles conditions candidates"),
             "floors": list(floors),

@@ -873,7 +873,7 @@ def of_plan(planning: Planning) -> Description:
     )
     # an event's error over the root of 10,000
     signals = (
-        Column("coupling", of="name"),
+        Column("configuration", of="name"),
         Column("photons per event", form=".1f", of="signal"),
         Column(
             "error of 10,000 events", of=lambda c: shown(c.event_sigma / c.signal / 100, percent)
@@ -881,13 +881,13 @@ def of_plan(planning: Planning) -> Description:
     )
     # of a set of couplings and its expected error
     floors = (
-        Column("couplings", of=lambda floor: planning.name(floor[0])),
+        Column("configurations", of=lambda floor: planning.name(floor[0])),
         Column("total", of=lambda floor: shown(floor[1].total, percent)),
         Column("priors", of=lambda floor: shown(floor[1].priors, percent)),
         Column("detector efficiency", of=lambda floor: shown(floor[1].efficiency, percent)),
     )
     plans = (
-        Column("couplings", of=lambda plan: planning.name(plan.configurations)),
+        Column("configurations", of=lambda plan: planning.name(plan.configurations)),
         Column("mountings", form="d"),
         Column("events", form=",.0f"),
         Column("hours", form=".1f"),
@@ -899,7 +899,12 @@ def of_plan(planning: Planning) -> Description:
         ),
     )
     assumed = planning.conditions
-    undetermined = "; ".join(map(planning.name, planning.undetermined))
+    so_far, undetermined = "", "; ".join(map(planning.name, planning.undetermined))
+    if (now := planning.so_far) is not None:
+        so_far = (
+            f"The readings so far, which count in all plans: light yield to {percent(now.total)}"
+        )
+    sets = sorted(planning.floors.items(), key=lambda floor: (len(floor[0]), floor[1].total))
     beats = "plans that no cheaper one beats (relative errors)"
     efficient = planning.efficient[-_MOST_PLANS:]
     left = "what readings without error would leave of the light yield's"
@@ -907,7 +912,9 @@ def of_plan(planning: Planning) -> Description:
         "plan of a measurement",
         f"At the campaign's solution: {solution}",
         records("what would be measured", signals, planning.candidates),
-        records(left, floors, planning.floors.items()),
+        so_far,
+        records(left, floors, sets[:_MOST_PLANS]),
+        f"and {len(sets) - _MOST_PLANS} larger sets" if len(sets) > _MOST_PLANS else "",
         records(beats, plans, efficient, strong=lambda plan: plan is planning.cheapest),
         map(strong, sentences.verdict(planning)),
         sentences.rehearsal_text(planning),

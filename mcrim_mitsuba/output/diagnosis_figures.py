@@ -42,12 +42,13 @@ from mcrim_mitsuba.output.sentences import (
 #: Inches of a row.
 _PER_ROW = 0.34
 #: Inches of the bars without their names: probabilities, gains.
-_BARS_WIDTHS = (2.4, 3.4)
+_BARS_WIDTHS = (1.9, 2.9)
 #: Inches of a character.
-_LABEL_PER_CHARACTER = 0.088
+_LABEL_PER_CHARACTER = 0.08
 _BARS_WIDTH = sum(_BARS_WIDTHS)
-#: Of a line of an effect's title.
-_LETTERS = 34
+#: Of a line of an effect's title, and of its size.
+_LETTERS = 26
+_SIZE_LETTERS = 32
 #: Height of a size's second line in rows.
 _FURTHER_LINE = 0.5
 #: Rows that are drawn: the likeliest.
@@ -140,7 +141,7 @@ def _rows(diagnosis: Diagnosis) -> list[list[_Row]]:
     for name, words in NO_EFFECTS.items():
         p = probabilities.get(name)
         if p is not None and p >= _LEAST_PROBABILITY and (singles or pairs):
-            singles.append(_Row(capital(words), p))
+            singles.append(_Row(style.in_lines(capital(words), _LETTERS), p))
     effects = {candidate.effect for candidate in diagnosis.candidates}
     for name, p in probabilities.items():
         causes = name.split(" + ")
@@ -216,17 +217,16 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
 
 _BAR: dict[str, Any] = {"height": 0.62, "edgecolor": style.DARK, "lw": 0.8}
 #: Titles of the columns beside the bars.
-_BESIDE = "p of the fit", "fitted size", "in words"
+_BESIDE = "p, fit", "fitted size"
 
 
 def _beside(row: _Row, brief: bool) -> tuple[str, ...]:
     """Texts of a row in the columns of `_BESIDE`, the first alone if `brief`."""
-    candidate = row.candidate
-    if candidate is None:  # it is no effect
-        texts = ("", "", "")
-    else:
-        texts = p_text(candidate.p_value), size_text(candidate, "\n"), plausibility(candidate)
-    return texts[:1] if brief else texts
+    if (candidate := row.candidate) is None:  # it is no effect
+        return ("",) if brief else ("", "")
+    lines = (*size_text(candidate, "\n").split("\n"), plausibility(candidate))
+    size = "\n".join(n if len(n) <= _SIZE_LETTERS else n.replace(" = ", "\n= ") for n in lines)
+    return (p_text(candidate.p_value),) if brief else (p_text(candidate.p_value), size)
 
 
 def _draw_probabilities(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:

@@ -859,6 +859,7 @@ def plan(
     mountings: Any = None,
     events: Any = None,
     conditions: Conditions | None = None,
+    anew: bool = False,
     run: Run | None = None,
     photons: Number | None = None,
     precision: Number | None = None,
@@ -873,13 +874,16 @@ def plan(
     Parameters
     ----------
     campaign : str, Path or Campaign
-        Its readings, photons per event, tell where it stands.
+        Its readings, photons per event, tell where it stands, and count.
     wanted : float
         Relative error of the light yield.
     n_gap, mountings, events : number or sequence of numbers, optional
-        Couplings that can be measured, mountings of each, and events of each mounting.
+        Couplings that can be measured, mountings of each, and events of each mounting. Without
+        couplings: what ``[next_measurements]`` lists, or the configurations of the readings.
     conditions : inference.plan.Conditions, optional
         Rates and scatter of the laboratory; by default those of the campaign's histograms.
+    anew : bool, default False
+        Whether plans do without the readings so far, except transmittances.
     run, photons, precision, seed, threads, variant, progress, check
         As for `calibrate`.
 
@@ -905,7 +909,9 @@ def plan(
     }
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     wanted = _above_0("wanted", wanted, "relative error")
-    planning = plan_measurement(campaign, wanted, conditions=conditions, run=run, **choices)
+    planning = plan_measurement(
+        campaign, wanted, conditions=conditions, anew=anew, run=run, **choices
+    )
     return PlanResult(**fields_of(planning), title=campaign.title, seed=run.seed)
 
 

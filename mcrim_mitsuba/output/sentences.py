@@ -32,6 +32,7 @@ from mcrim_mitsuba.inference.plan import (
     EVENTS_ORIGIN,
     MOUNTINGS_ORIGIN,
     PRIOR,
+    SO_FAR,
     STATISTICAL,
     ExpectedError,
     Plan,
@@ -242,8 +243,15 @@ def averaged_yield(
         best += f" with nothing missing; the likeliest is {what} {likely}"
     return (
         f"Light yield: {averaged}, averaged over all explanations and sizes that the readings "
-        f"allow: the one to quote; the best fit alone gives {best}"
+        f"allow: {quoted(diagnosis)}; the best fit alone gives {best}"
     )
+
+
+def quoted(diagnosis: Diagnosis) -> str:
+    """Whether the averaged light yield is to be quoted: of a mended campaign its remark has it."""
+    if not diagnosis.baseline.model.campaign.quotes_another:
+        return "the one to quote"
+    return "given what was added; the one to quote is that of the remark"
 
 
 def shares_text(diagnosis: Diagnosis) -> str:
@@ -663,6 +671,7 @@ _MENDS = {
         "crystal of known light yield (mcrim lab relative)"
     ),
     "emission spectrum": "an emission spectrum measured better",
+    SO_FAR: "the same readings made once more",
     EVENTS_ORIGIN: "more events in each histogram",
     MOUNTINGS_ORIGIN: "more mountings of each coupling",
     PRIOR + ALPHA_ABS: (
@@ -675,6 +684,8 @@ _MENDS = {
 def verdict(planning: Planning) -> tuple[str, ...]:
     """The cheapest plan; or what forbids the wanted error, and what of its statistical part."""
     wanted, plan = percent(planning.wanted), planning.cheapest
+    if (now := planning.so_far) is not None and now.total <= planning.wanted:
+        return (f"The readings so far have the light yield to {percent(now.total)}: enough.",)
     if plan is not None:
         return (f"Cheapest plan for a light yield to {wanted}: {plan_text(planning, plan)}",)
     couplings, floor = planning.lowest_floor
@@ -708,7 +719,8 @@ def plan_text(planning: Planning, plan: Plan, more: int = 0) -> str:
 def rehearsal_text(planning: Planning) -> str:
     """What the proposed plan could name of missing effects, in a sentence; or that none shows."""
     plan = planning.proposed
-    readings = f"readings of {planning.name(plan.configurations)}"
+    also = "" if planning.so_far is None else "those so far and of "
+    readings = f"readings of {also}{planning.name(plan.configurations)}"
     if planning.capability is None:  # what determines all parameters lacks one reading, no more
         return (
             f"No missing effect could show in {readings}: none is left to check the model with. "

@@ -11,7 +11,7 @@ import contextlib
 import functools
 import hashlib
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -50,6 +50,8 @@ _MEANT = "is this the scene you meant?"
 #: What other files of this package are, by their endings.
 _OTHERS = {".toml": "a campaign", ".csv": "a table"}
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+#: Of a wrapping.
+_FACES = ("top", "sides", "right", "left", "back", "front")
 _REFERENCE = re.compile(rf"\$({_NAME.pattern})?")
 # by parameter and text
 _Indices = dict[tuple[str, str], MaterialIndex]
@@ -103,6 +105,10 @@ class SceneFile:
     def parts(self) -> SceneParts:
         """What the elements of `root` are to each other."""
         return SceneParts(self.root)
+
+    def mend_of(self, name: str) -> str:
+        """What to do about a name that is none of its parameters, but perhaps a part of it."""
+        return _mend_of(name, self.defaults, self._files)
 
     def place_of(self, element: Node) -> tuple[Path, int | None]:
         """File and line where an element of `root` starts."""
@@ -284,6 +290,23 @@ def read_scene(
     if (kind := _OTHERS.get(path.suffix.lower())) and is_there(path) and path.is_file():
         raise InputError(f"this is {kind}, not a scene", "name a scene (.xml)", path=path)
     return _assemble(path, overrides or {}, {}, {})
+
+
+def _mend_of(name: str, parameters: Collection[str], elements: Iterable[Node]) -> str:
+    """What to do about a name that is no parameter: a part of the scene is switched otherwise."""
+    shapes = [element for element in elements if element.tag == "shape"]
+    wrappings = [shape for shape in shapes if shape.type == "wrapping"]
+    rows = f"a column {name} of 0 and 1 in measurements does so"
+    if (name in _FACES and len(wrappings) == 1) or name in {w.get("id") for w in wrappings}:
+        bare = '<string name="without" value="$bare"/>'
+        default = '<default name="bare" value="none"/>'
+        return (
+            f"to take it off, let the wrapping have {bare}, write {default} at the top, and give "
+            f'bare the value "top sides" (all) or the faces that are bare; {rows}'
+        )
+    if name in {shape.get("id") for shape in shapes}:
+        return f"it is a part: take it out of a copy of the scene; if it stands in air {rows}"
+    return did_you_mean(name, parameters)
 
 
 def parse_define(text: str, option: str = "-D", example: str = "n_gap=1.46") -> tuple[str, str]:
@@ -566,7 +589,8 @@ class _Assembly:
         for name in self.overrides:
             if name not in self.defaults:
                 problem = f"{name} is not a parameter of this scene"
-                raise InputError(problem, did_you_mean(name, self.defaults), path=self.path)
+                mend = _mend_of(name, self.defaults, self.files)
+                raise InputError(problem, mend, path=self.path)
             if name not in self.used:
                 default = self.defaults[name]
                 problem = f"{name} is declared but never used: changing it would change nothing"

@@ -590,7 +590,7 @@ def test_a_hopeless_effect_hides_no_other_and_what_has_no_name_has_a_row():
     assert overlap([*gains.texts, *chances.texts, *beside.texts], drawing.figure) == []
     # the second likeliest; what is as good as impossible has none
     names = [label.get_text() for label in chances.get_yticklabels()]
-    assert names[1] == "Something that is in no catalogue" and len(names) == 5
+    assert names[1] == "Something that is in no\ncatalogue" and len(names) == 5
     assert [one.get_text() for one in chances.texts] == ["70 %", "20 %", "10 %"]
     assert {row[0]: row[2] for row in drawing.rows}["unknown"] == 0.2
     assert {len(row) for row in drawing.rows} == {len(drawing.columns)}

@@ -23,6 +23,7 @@ from mcrim_mitsuba.inference.simulations import (
     buildable,
 )
 from mcrim_mitsuba.inference.weighing import Hypothesis, weigh_hypotheses
+from mcrim_mitsuba.output.public import simulate
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 LIGHT = LightYieldInput(50.0, 0.1, 0.0)
@@ -215,6 +216,33 @@ def test_a_proposal_says_which_crystal_and_how_it_is_wrapped(
     ]
     expected = {"gap_mm": 0.5, "n_gap": 1.46, "crystal_height_mm": 10.0, "wrapping_without": bare}
     assert offers[0].parameters == expected
+
+
+def test_what_rows_switch_may_be_listed(scenes, tmp_path):
+    """Refused: wrapped and bare were what the first row has, whatever the laboratory can do."""
+    text = (scenes / "bgo_esr.toml").read_text().replace('= "bgo', f'= "{scenes}/bgo')
+    path, listed = tmp_path / "bgo.toml", "[next_measurements]\nn_gap = [1.5]\ntop = [1, 0]\n"
+    path.write_text(f"{text}\n{listed}minutes = {{ top = 20 }}\n")
+    proposals = CampaignSimulations(read_campaign(path), Run(512, check=False)).proposals()
+    closed, opened = proposals.configurations
+    assert [cells["bare"] for cells in (closed, opened)] == ["none", "top"]
+    nothing = SimpleNamespace(
+        statistic=SimpleNamespace(model=SimpleNamespace(readings=()), free=())
+    )
+    offers = _offers(SimpleNamespace(baseline=nothing, leading=()), proposals, ())
+    liquid = "liquid (n = 1.5)"
+    assert [offer.words for offer in offers] == [
+        f"{liquid}, top wrapped, sides wrapped",
+        f"{liquid}, top bare, sides wrapped",
+    ]
+    assert [proposals.hours(cells) for cells in (closed, opened)] == [0.5, pytest.approx(50 / 60)]
+    # and is simulated so
+    closed, opened = (
+        proposals.models[0](()).predict(np.array([0.02, 0.02, 1.0])).signal
+        / simulate(scenes / "bgo_esr.xml", n_gap=1.5, bare=bare, photons=60_000, seed=2).eta
+        for bare in ("none", "top")
+    )
+    assert 0.6 < closed[0] < 1.4 and opened[1] == pytest.approx(closed[0], rel=0.1)
 
 
 def test_what_is_proposed_is_in_proportion_to_the_bench(scenes, tmp_path):

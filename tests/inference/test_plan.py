@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from formula_surfaces import FormulaSurface
+from refusals import refusal
 from scipy import stats
 from trials.surface_model import CampaignModel
 
@@ -41,7 +42,7 @@ from mcrim_mitsuba.transport.launch_plan import LANES
 FALSE_ALARM = 1e-3
 LIGHT_YIELD = "light_yield_ph_per_keV"
 #: What is planned, if nothing else is.
-TWO = {"n_gap": [1.0, 1.46], "mountings": [4], "events": [1e4]}
+TWO = {"n_gap": [1.0, 1.46], "mountings": [4], "events": [1e4], "anew": True}
 
 
 def formulas(parameters):
@@ -145,7 +146,7 @@ def test_a_centroid_scatters_as_predicted(mean):
 
 def test_expected_errors_are_the_fit_s_own(article, without_photons):
     without_photons(formulas)
-    planned = plan(article, 0.1, n_gap=[1.0, 1.333, 1.46], mountings=[3], events=[2e4])
+    planned = plan(article, 0.1, n_gap=[1.0, 1.333, 1.46], mountings=[3], events=[2e4], anew=True)
     for chosen in ((0, 2), (0, 1, 2)):
         expected = planned_error(planned, chosen, 3, 2e4)
         signals = [planned.candidates[i].signal for i in chosen]
@@ -162,6 +163,57 @@ def test_expected_errors_are_the_fit_s_own(article, without_photons):
             (expected.light_yield.parts[EFFICIENCY], light.contributions["detector_efficiency"]),
         ):
             assert ours == pytest.approx(theirs / light.value, rel=1e-3)
+
+
+def test_readings_so_far_count(article, without_photons):
+    """A plan began anew, as if nothing had been measured: the errors were those of its own rows."""
+    without_photons(formulas)
+    planned = plan(article, 0.1, n_gap=[1.0, 1.333], mountings=[3], events=[2e4])
+    kept = list(article.measurements.readings)
+
+    def fitted(*chosen):
+        """The whole errors of a fit to the campaign's readings and to some of a plan's."""
+        signals = [planned.candidates[i].signal for i in chosen]
+        new = measured(article, planned, chosen, signals, 3, 2e4).measurements
+        both = replace(new, readings=(*kept, *new.readings))
+        whole = CampaignModel(replace(article, measurements=both), formulas)
+        found = fit_model(whole, profile=False).parameters
+        return [found[name].sigma / found[name].value for name in (LIGHT_YIELD, ALPHA_SCAT)]
+
+    so_far, _ = fitted()
+    assert planned.so_far.total == pytest.approx(so_far, rel=1e-4)
+    assert planned.undetermined == () and planned.so_far.parts["events"] == 0.0
+    for chosen in ((0,), (1,), (0, 1)):
+        expected = planned_error(planned, chosen, 3, 2e4)
+        both = [expected.light_yield.total, expected.alpha_scat.total]
+        assert both == pytest.approx(fitted(*chosen), rel=2e-3)
+        assert expected.light_yield.total < planned.so_far.total
+    assert verdict(replace(planned, wanted=1.01 * so_far)) == (
+        f"The readings so far have the light yield to {percent(so_far)}: enough.",
+    )
+
+
+def test_what_is_planned_is_what_the_bench_was_measured_with(scenes, tmp_path):
+    """Couplings that this laboratory has not, and never what its columns switch."""
+    text = (scenes / "bgo_esr.toml").read_text().replace('= "bgo', f'= "{scenes}/bgo')
+    path = tmp_path / "bgo.toml"
+
+    def cells(more="", n_gap=None):
+        path.write_text(text + more)
+        return measuring._configurations(read_campaign(path), n_gap)
+
+    state = {"top": 1.0, "sides": 1.0}, {"top": 0.0, "sides": 1.0}, {"top": 0.0, "sides": 0.0}
+    assert cells() == [{"n_gap": n, **of} for n in (1.0, 1.465) for of in state]
+    assert cells(n_gap=[1.0, 1.3]) == [{"n_gap": n, **state[0]} for n in (1.0, 1.3)]
+    lid = "[next_measurements]\nn_gap = [1.5]\ntop = [0, 1]\n"
+    assert cells(lid) == [{"n_gap": 1.5, **of} for of in (state[1], state[0])]
+    gaps = f"[next_measurements]\ngap_mm = {[0.01 * i for i in range(1, 10)]}\n"
+    assert "9 configurations have too many" in refusal(cells, gaps)
+    article = read_campaign(scenes / "camoo4_campaign.toml")
+    (air, _) = article.measurements.readings
+    dry = replace(article, measurements=replace(article.measurements, readings=(air,)))
+    usual = [{"n_gap": n} for n in (1.0, 1.333, 1.46, 1.515)]
+    assert measuring._configurations(dry, None) == usual
 
 
 def test_tolerances_are_in_a_plan_as_in_the_fit_of_its_readings(scenes, tmp_path):
@@ -211,7 +263,7 @@ def test_100_synthetic_campaigns_scatter_as_planned(scenes, article, without_pho
         return made[index]
 
     without_photons(surfaces)
-    planned = plan(campaign, 0.1, n_gap=[1.0, 1.515], mountings=[8], events=[1e5])
+    planned = plan(campaign, 0.1, n_gap=[1.0, 1.515], mountings=[8], events=[1e5], anew=True)
     expected = planned_error(planned, (0, 1), 8, 1e5)
     truth = {name: known.value for name, known in planned.solution.items()}
     rng = np.random.default_rng(11)
@@ -236,7 +288,13 @@ def test_plans_are_ordered_and_add_up(article, without_photons):
     without_photons(formulas)
     conditions = Conditions(events_per_second=10.0, minutes_per_mounting=60.0)
     planned = plan(
-        article, 0.2, n_gap=[1.0, 1.46], mountings=[4, 1], events=[1e3, 1e4], conditions=conditions
+        article,
+        0.2,
+        n_gap=[1.0, 1.46],
+        mountings=[4, 1],
+        events=[1e3, 1e4],
+        conditions=conditions,
+        anew=True,
     )
     assert planned.undetermined == ((0,), (1,))
     assert [(p.mountings, p.events) for p in planned.plans] == [
@@ -277,7 +335,7 @@ def test_what_forbids_a_precision_is_named(article, without_photons):
     exact = replace(article, light_yield=light)
     assert "mcrim lab absorption" in verdict(plan(exact, 0.01, **TWO))[0]
     # and what statistics could reach is said to be reachable
-    three = plan(exact, 0.01, n_gap=[1, 1.2, 1.46], mountings=[1], events=[1e3])
+    three = plan(exact, 0.01, n_gap=[1, 1.2, 1.46], mountings=[1], events=[1e3], anew=True)
     assert "is not among these plans" in verdict(three)[0]
 
 
@@ -308,7 +366,7 @@ def test_percent(fraction, text):
 
 def test_two_errors_that_differ_are_said_differently(article, without_photons):
     without_photons(formulas)
-    found = plan(article, 0.12, n_gap=[1.0, 1.46], mountings=[1], events=[1e3])
+    found = plan(article, 0.12, n_gap=[1.0, 1.46], mountings=[1], events=[1e3], anew=True)
     floor = found.lowest_floor[1].total
     first, *_ = verdict(replace(found, wanted=floor * (1 - 1e-5)))
     said = re.search(r"to ([\d.]+) % cannot be reached.* would leave ([\d.]+) %", first)
@@ -326,7 +384,7 @@ def test_a_plan_that_leaves_nothing_to_check_with_says_so_without_photons(articl
         "No missing effect could show in readings of gap index 1, 1.46: none is left to check the "
         "model with. That takes one more, with another coupling, mask or height."
     )
-    three = plan(article, 0.01, n_gap=[1.0, 1.2, 1.46], mountings=[4], events=[1e4])
+    three = plan(article, 0.01, n_gap=[1.0, 1.2, 1.46], mountings=[4], events=[1e4], anew=True)
     assert three.capability is not None and three.proposed.configurations == (0, 1, 2)
     rows = simulated[-1].measurements.readings
     assert [row.parameters for row in rows] == [of.parameters for of in three.candidates]
@@ -346,6 +404,7 @@ def test_a_plan_could_name_what_a_diagnosis_of_its_readings_could(article):
         events=[1e7],
         conditions=Conditions(mounting_scatter=0.001),
         run=run,
+        anew=True,
     )
     chosen = planned.proposed.configurations
     signals = [planned.candidates[place].signal for place in chosen]
@@ -391,7 +450,7 @@ def _efficiencies(campaign):
 def test_what_cannot_be_planned(article, without_photons, change, n_gap, says):
     without_photons(formulas)
     with pytest.raises(InputError, match=says):
-        plan(change(article), 0.1, n_gap=n_gap, mountings=[1], events=[1e4])
+        plan(change(article), 0.1, n_gap=n_gap, mountings=[1], events=[1e4], anew=True)
 
 
 def test_the_default_precision_is_shown_as_it_is_written(mcrim):

@@ -173,8 +173,11 @@ def test_columns_take_a_wrapping_off(read):
             assert abs(first.eta - plain.eta) < 5 * np.hypot(first.eta_sigma, plain.eta_sigma)
     message = refusal(read, text, rows.replace("0,1.46", "0.5,1.46"))
     assert "neither 0 nor 1" in message
-    message = refusal(read, f"{text}[next_measurements]\nwrapping = [0, 1]\n", rows)
-    assert "wrapping is a column that switches a part of the scene" in message
+    message = refusal(read, f"{text}[next_measurements]\nwrapping = [0.5]\n", rows)
+    assert "wrapping is not a list of 0 and 1; write wrapping = [0, 1]" in message
+    candidate = rows.replace("wrapping", "wrap_contact")
+    message = refusal(read, f"{text}[next_measurements]\nwrap_contact = [0, 1]\n", candidate)
+    assert "switches an effect that is not in the bench; remove wrap_contact, or name it" in message
 
 
 @pytest.mark.parametrize("apart", [False, True])

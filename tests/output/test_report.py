@@ -11,6 +11,7 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,8 +20,10 @@ from lxml import html
 from refusals import refusal
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.entries import LONGEST_REMARK, QUOTED
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.rounding import pdg_parts
+from mcrim_mitsuba.inference.repair import remark_of
 from mcrim_mitsuba.output import photograph, report_sections
 from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output.describe_campaign import others_table
@@ -178,6 +181,31 @@ def test_the_verdict_has_the_numbers_of_the_fit_that_is_quoted():
     for effects, best in ((FIRST,), "7.61 ± 0.22"), ((SECOND,), "7.52 ± 0.20"):
         words = averaged_yield(diagnosis("ambiguous"), calibration(light), effects)
         assert words.endswith(f"gives {best} with absorbing crystal surface (70 %)"), words
+
+
+def test_a_mended_campaign_keeps_its_remark_and_the_yield_to_quote():
+    """A remark was lost, and a diagnosis of the mended file called its own yield that to quote."""
+    own = SimpleNamespace(remark="kept in the dark", quotes_another=False)
+    explained = diagnosis("ambiguous")
+    assert "readings allow: the one to quote; the best" in averaged_yield(explained)
+
+    def of(campaign):
+        statistic = SimpleNamespace(model=SimpleNamespace(campaign=campaign))
+        minimum = SimpleNamespace(statistic=statistic)
+        return replace(explained, baseline=replace(explained.baseline, minimum=minimum))
+
+    first = remark_of(of(own), (FIRST,))
+    assert first.startswith("kept in the dark; absorbing crystal surface was added by repair (the ")
+    assert first.count(QUOTED) == 1 and str(explained.light_yield_averaged) in first
+    # the averaged yield of the mended file takes for granted what was added
+    mended = of(SimpleNamespace(remark=first, quotes_another=QUOTED in first))
+    words = averaged_yield(mended)
+    assert "given what was added; the one to quote is that of the remark; the best" in words
+    second = remark_of(mended, (SECOND,))
+    assert second.startswith(f"{first}; ") and second.count(QUOTED) == 1
+    long = SimpleNamespace(remark="a" * LONGEST_REMARK, quotes_another=False)
+    whole = remark_of(of(long), (FIRST,))
+    assert len(whole) == LONGEST_REMARK and whole.endswith(first.partition("; ")[2])
 
 
 def test_files_are_inside_as_they_were_read(made, parsed):

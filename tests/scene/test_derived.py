@@ -67,6 +67,21 @@ def test_a_plan_is_put_together_when_it_is_needed(bench):
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "mend"),
+    [
+        ("wrapping", 'give bare the value "top sides" (all)'),
+        ("sides", "a column sides of 0 and 1 in measurements"),
+        ("dead_rim", "take it out of a copy of the scene"),
+        ("wraping", "known are: "),
+    ],
+)
+def test_a_part_is_no_parameter_and_it_is_said_what_to_do(name, mend):
+    """`-D wrapping=0` was taken for a misspelt parameter, though columns take it off so."""
+    wrapped = read_scene(SCENES / "lyso_teflon.xml")
+    assert mend in wrapped.mend_of(name) and mend in refusal(wrapped.with_overrides, {name: 0.0})
+
+
 def test_the_beam_s_scene_is_the_crystal_alone_in_air(bench):
     derived = spectrophotometer_of(bench.with_overrides({"n_gap": 1.46, "n_crystal": 1.9}))
     assert {shape.get("id") for shape in derived.parts.shapes} >= {"crystal_top", "beam_detector"}

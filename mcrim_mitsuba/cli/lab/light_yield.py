@@ -173,8 +173,7 @@ def relative(file, json_file) -> None:
     showing.answer(VerbResult(kind="relative_yield", shown=shown, numbers=document), json_file)
 
 
-#: What is planned with unless asked otherwise: indices of the gap, events and mountings.
-_COUPLINGS = "1.0,1.333,1.46,1.515"
+#: What is planned with unless asked otherwise: events and mountings.
 _EVENTS = "log:1e3:1e6:4"
 _MOUNTINGS = "1,2,4,8,16"
 #: Events and mountings at most.
@@ -188,8 +187,8 @@ _MOST_MOUNTINGS = 10_000
 @option(
     "--n-gap",
     "LIST",
-    "Couplings to choose from, such as 1.0,glycerol@540nm; 8 at most; every set is tried.",
-    default=_COUPLINGS,
+    "Couplings to choose from, such as 1.0,glycerol@540nm; 8 at most; every set is tried (default: "
+    "what [next_measurements] lists, or the configurations of the readings).",
 )
 @option("--events", "LIST", "Events in the band of each mounting's histogram.", default=_EVENTS)
 @option("--mountings", "LIST", "Mountings of each coupling.", default=_MOUNTINGS)
@@ -221,27 +220,32 @@ _MOST_MOUNTINGS = 10_000
     "campaign's histograms; without any 10%).",
     "intrinsic_spread",
 )
+@click.option("--anew", is_flag=True, help="As if nothing had been measured but transmittances.")
 @options.figure("the error of the light yield over events, for each set of couplings")
 @options.work
-def plan(campaign, wanted, n_gap, events, mountings, figure, json_file, work, **conditions) -> None:
+def plan(
+    campaign, wanted, n_gap, events, mountings, anew, figure, json_file, work, **conditions
+) -> None:
     """Plan a measurement: how many events, mountings and which couplings CAMPAIGN (TOML) needs.
 
-    From the campaign's solution the model predicts what every set of couplings would bring; its
-    readings must be detected photons per event. The light yield's statistical error falls with
-    events and mountings; priors and detector efficiency stay, and what the model neglects
-    (mcrim budget) comes on top: what readings of the proposed plan could tell of it is said, too.
+    From the campaign's solution the model predicts what every set of configurations would bring
+    beside the readings so far, which must be detected photons per event. The light yield's
+    statistical error falls with events and mountings; priors and detector efficiency stay, and what
+    the model neglects (mcrim budget) comes on top: what readings of the proposed plan could tell of
+    it is said, too.
     """
     from mcrim_mitsuba.inference.plan import measured_conditions
 
     counts = _counts("--events", events, 1.0, _LARGEST_COUNT)
     times = [int(n) for n in _counts("--mountings", mountings, 1, _MOST_MOUNTINGS, whole=True)]
+    choices: dict[str, Any] = {"mountings": times, "events": counts, "anew": anew}
     with collected(READS) as spectra:
-        couplings = parse_list("--n-gap", n_gap, "n_gap", Path(campaign).parent)
-    comma = told_of_comma("--n-gap", n_gap)
+        if n_gap is not None:
+            choices["n_gap"] = parse_list("--n-gap", n_gap, "n_gap", Path(campaign).parent)
+    comma = told_of_comma("--n-gap", n_gap or "")
     read = showing.read_campaign(campaign, json_file, figure, inputs=spectra)
     terminal.console(json_file).say_notes(comma)
     given = {name: value for name, value in conditions.items() if value is not None}
-    choices: dict[str, Any] = {"n_gap": couplings, "mountings": times, "events": counts}
     with work.begin() as run:
         measured = dataclasses.replace(measured_conditions(read), **given)
         planning = mcrim.plan(read, wanted, conditions=measured, run=run, **choices)
