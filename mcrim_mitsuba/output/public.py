@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, overload
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.files import write_text
+from mcrim_mitsuba.core.files import path_of, write_text
 from mcrim_mitsuba.core.numbers import number_of, whole_of
 from mcrim_mitsuba.core.run import MOST_PHOTONS, Progress, Run
 from mcrim_mitsuba.output.registry import fields_of
@@ -83,8 +83,9 @@ InputError
 
 
 def _public(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
-    """The function, which says what it raises, and refuses a misspelt keyword in the same way."""
-    signature = inspect.signature(function).parameters
+    """The function, which says what it raises, and refuses what is no argument in the same way."""
+    whole = inspect.signature(function)
+    signature = whole.parameters
     open_ended = any(p.kind is p.VAR_KEYWORD for p in signature.values())
 
     @functools.wraps(function)
@@ -93,6 +94,15 @@ def _public(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _
             if name not in signature:
                 mend = did_you_mean(name, sorted({*_FIELDS_OF_RUN, *signature}))
                 raise InputError(f"{name} is no field of a run", mend)
+        try:
+            bound = whole.bind(*args, **given)
+        except TypeError as error:
+            called = f"mcrim.{function.__name__}"
+            raise InputError(f"{called}: {error}", f"see help({called})") from None
+        for name, value in bound.arguments.items():
+            kind = signature[name].annotation
+            if kind == "str | Path" or (kind == "str | Path | None" and value is not None):
+                path_of(name, value)
         return function(*args, **given)
 
     refusing.__doc__ = inspect.cleandoc(function.__doc__ or "") + _RAISES
