@@ -483,6 +483,23 @@ def test_pulls_intervals_and_chi2_are_those_of_the_truth(campaign):
     assert stats.kstest(p_values, "uniform").pvalue > 1e-4
 
 
+@pytest.mark.parametrize("unit", [1e-30, 1e-19, 1e3, 1e20])
+def test_the_unit_of_the_signals_changes_nothing(campaign, unit):
+    """Coulombs and channels; a light yield that no crystal has is told."""
+    rows = "label,signal,sigma,n_gap\nair,{:g},{:g},1.00\ngel,{:g},{:g},1.46\n"
+    there = fit_campaign(campaign(ALPHA + PRIOR + YIELD), couplings())
+    in_unit = rows.format(*(unit * number for number in (14.3, 0.2, 24.5, 0.4)))
+    result = fit_campaign(campaign(ALPHA + PRIOR + YIELD, in_unit), couplings())
+    for name, other in there.parameters.items():
+        factor, found = 1.0 if "alpha" in name else unit, result.parameters[name]
+        for number in ("value", "sigma", "lower", "upper"):
+            assert getattr(found, number) / factor == pytest.approx(
+                getattr(other, number), rel=1e-6
+            )
+    assert any("no crystal makes more" in note for note in result.notes) == (unit > 1.0)
+    assert not any("no crystal makes more" in note for note in there.notes)
+
+
 def test_linear_fit_against_its_closed_form(campaign):
     """Only the scale is free: a weighted mean, and the interval is value -+ sigma."""
     result = fit_campaign(campaign(""), couplings())
