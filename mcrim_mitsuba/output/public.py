@@ -14,14 +14,15 @@ import dataclasses
 import functools
 import inspect
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, overload
 
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.files import path_of, write_text
+from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import number_of, whole_of
 from mcrim_mitsuba.core.run import MOST_PHOTONS, Progress, Run
 from mcrim_mitsuba.output.registry import fields_of
@@ -82,6 +83,26 @@ InputError
 """
 
 
+def _is_texts(value: object) -> bool:
+    several = [value] if isinstance(value, str) else value
+    return isinstance(several, Collection) and all(isinstance(text, str) for text in several)
+
+
+#: What annotations ask for, and in words; numbers are looked at where they are used.
+_KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "str": (lambda value: isinstance(value, str), "a text"),
+    "str | Path": (lambda value: isinstance(value, str | PathLike), "a file's name or Path"),
+    "str | Sequence[str]": (_is_texts, "a name, or a list of names"),
+    "Sequence[str]": (_is_texts, "a list of names"),
+    "Mapping[str, float | str]": (lambda value: isinstance(value, Mapping), "a dictionary"),
+    "bool": (lambda value: isinstance(value, bool | int | np.bool_), "True or False"),
+    "Run": (lambda value: isinstance(value, Run), "a Run"),
+    "Progress": (callable, "a function"),
+    "Callable[[RepairStep], None]": (callable, "a function"),
+    "Conditions": (dataclasses.is_dataclass, "Conditions"),
+}
+
+
 def _public(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
     """The function, which says what it raises, and refuses what is no argument in the same way."""
     whole = inspect.signature(function)
@@ -101,8 +122,11 @@ def _public(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _
             raise InputError(f"{called}: {error}", f"see help({called})") from None
         for name, value in bound.arguments.items():
             kind = signature[name].annotation
-            if kind == "str | Path" or (kind == "str | Path | None" and value is not None):
-                path_of(name, value)
+            if value is None and kind.endswith("None"):
+                continue
+            fits, words = _KINDS.get(kind.removesuffix(" | None"), (None, ""))
+            if fits is not None and not fits(value):
+                raise InputError(f"{name} is {value!r}", f"give {words}")
         return function(*args, **given)
 
     refusing.__doc__ = inspect.cleandoc(function.__doc__ or "") + _RAISES
@@ -913,6 +937,8 @@ def plan(
         for name, (values, read) in readers.items()
         if values is not None
     }
+    for name in (name for name, values in choices.items() if not values):
+        raise InputError(f"there is no value of {name}", "give one at least")
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     wanted = _above_0("wanted", wanted, "relative error")
     planning = plan_measurement(campaign, wanted, conditions=conditions, run=run, **choices)

@@ -310,6 +310,9 @@ def test_what_is_no_argument_is_refused_in_a_line():
         (mcrim.diagnose, [["a.toml"]], "the campaign is ['a.toml']"),
         (mcrim.report, [campaign, None], "output is None"),
         (mcrim.eta_spectrum, [BENCH, 5], "spectrum is 5"),
+        (functools.partial(mcrim.simulate, run={"seed": 1}), [BENCH], "give a Run"),
+        (functools.partial(mcrim.diagnose, only=[3]), [campaign], "only is [3]; give a name"),
+        (functools.partial(mcrim.plan, n_gap=[]), [campaign, 0.1], "there is no value of n_gap"),
         (mcrim.calibrate, [], "mcrim.calibrate: missing a required argument: 'campaign'"),
         (mcrim.simulate, [BENCH, 1e6], "mcrim.simulate: too many positional arguments"),
     ):
