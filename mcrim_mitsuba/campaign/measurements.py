@@ -377,6 +377,10 @@ class _Cells(dict[str, str]):
         if sigma <= 0:
             mend = "give the standard error of the reading, or use = 0 to leave it out"
             raise self.refusal("sigma", f"sigma = {sigma:g} is not above 0", mend)
+        if kind == LIGHT and sigma > signal and self.get("use") != "0":
+            problem = f"sigma = {sigma:g} is more than the signal, {signal:g}"
+            mend = "give both in one unit, or use = 0: are the two columns exchanged?"
+            raise self.refusal("sigma", problem, mend)
         for name, value in (("signal", signal), ("sigma", sigma)):
             if kind == TRANSMITTANCE and value >= 1.0:
                 mend = "give the fraction of the beam: 0.76 for 76 %"

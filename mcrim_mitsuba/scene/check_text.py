@@ -173,6 +173,7 @@ def problems_of_text(file: SceneFile) -> list[SceneProblem]:
         *_problems_of_spheres(file),
         *_problems_of_faces(file, {file.parameters[name] for name in parameters}),
         *_problems_of_media(file),
+        *_problems_of_defaults(file),
     ]
 
 
@@ -291,6 +292,24 @@ def _problems_of_media(file: SceneFile) -> Iterator[SceneProblem]:
                 text += f"(line {index.sourceline}) gives it {_nominal(index):g}"
                 mend = "let both name the same index"
                 yield SceneProblem("index", text, mend, *file.place_of(own))
+
+
+#: What Mitsuba takes where a plugin is not told its most important numbers.
+_UNTOLD = {
+    "diffuse": {"reflectance": "0.5"},
+    "homogeneous": {"sigma_t": "1 per mm", "albedo": "0.75"},
+    "hg": {"g": "0.8"},
+}
+
+
+def _problems_of_defaults(file: SceneFile) -> Iterator[SceneProblem]:
+    """Plugins whose most important numbers are nowhere written."""
+    for element in file.root.iter("bsdf", "medium", "phase"):
+        for name, default in _UNTOLD.get(element.type, {}).items():
+            if element.named(name) is None:
+                text = f"{element.label} does not say its {name}: Mitsuba would take {default}"
+                mend = f'write <float name="{name}" value="..."/>'
+                yield SceneProblem("surface", text, mend, *file.place_of(element))
 
 
 def _problems_of_dielectric(
