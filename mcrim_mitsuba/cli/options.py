@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 from rich.console import RenderableType
 
 from mcrim_mitsuba.cli import terminal
@@ -271,6 +272,15 @@ def depth(least: float, end: str = ".", **further: Any):
     """``--depth``, `least` mm or more; `end` of its help, `further` what else click takes."""
     words = f"1/e depth of gammas that stop near a face, for --map{end}"
     return option("--depth", Number("MM", least), words, "depth_mm", **further)
+
+
+def refuse_without_map() -> None:
+    """Refuse ``--depth`` and ``--deposits`` where nothing is spread over a map."""
+    context = click.get_current_context()
+    typed = [context.get_parameter_source(name) for name in ("depth_mm", "deposits")]
+    if ParameterSource.COMMANDLINE in typed and context.params["map_file"] is None:
+        problem = "--depth and --deposits say where gammas stop on a map"
+        raise InputError(problem, "give --map FILE.nc too")
 
 
 _OF_SEED = "Seed of the random numbers: the same seed gives the same result."

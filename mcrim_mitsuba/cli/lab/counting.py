@@ -133,8 +133,7 @@ def peak(
     if lines and (below.step or below.lines):
         problem = "--step or --escape-keV beside --lines, whose neighbours lie below them"
         raise InputError(problem, "fit one peak, with --window about it")
-    if deposits and not map_file:
-        raise InputError("--deposits says where gammas stop on a map", "give --map FILE.nc too")
+    options.refuse_without_map()
     inputs = [inside(Path(file))[0] for file in files]
     inputs += map(Path, filter(None, (calibration_file, map_file, deposits)))
     further = {"calibration": calibration_file, "lines": lines, "widths": map_file}
