@@ -45,6 +45,7 @@ from mcrim_mitsuba.output.codec import (
     columns_of,
     csv_lines,
     dataset,
+    impossible,
     joined,
     netcdf_bytes,
     read_document,
@@ -148,12 +149,13 @@ def _table_of_csv(path: Path) -> Part:
         if len(cells) != len(COLUMNS):
             problem = f"{len(cells)} cells under {len(COLUMNS)} columns"
             raise InputError(problem, "give each column one cell", path=path, line=number)
-        rows.append(
-            {
-                name: parse_number(name, cell, path=path, line=number, column=name)
-                for name, cell in zip(COLUMNS, cells, strict=True)
-            }
-        )
+        row: Row = {}
+        for name, cell in zip(COLUMNS, cells, strict=True):
+            row[name] = parse_number(name, cell, path=path, line=number, column=name)
+            if problem := impossible(name, row[name]):
+                at = {"path": path, "line": number, "column": name}
+                raise InputError(f"{name} = {cell}: {problem}", MEND, **at)
+        rows.append(row)
     return without_repeated(rows, path), [], provenance
 
 

@@ -15,7 +15,12 @@ from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.calibration import CommonErrors
 from mcrim_mitsuba.campaign.entries import choice, number_within
 from mcrim_mitsuba.campaign.known_physics import with_known_physics
-from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_table
+from mcrim_mitsuba.campaign.measurements import (
+    Measurements,
+    Reading,
+    read_table,
+    refuse_other_units,
+)
 from mcrim_mitsuba.campaign.parameter import (
     SCALE,
     CampaignParameter,
@@ -31,13 +36,12 @@ from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, Sample, own_name, 
 from mcrim_mitsuba.campaign.tolerances import Tolerance, read_tolerances, wrong_numbers
 from mcrim_mitsuba.campaign.treatments import switchable, taken_off, with_treatments
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
-from mcrim_mitsuba.core.files import READS, collected, is_there
+from mcrim_mitsuba.core.files import READS, collected, is_there, path_of
 from mcrim_mitsuba.core.numbers import (
     ALPHA_ABS,
     ALPHA_SCAT,
     COEFFICIENTS,
     COUNTED,
-    LEAST_USUAL_KEV,
     Value,
     judge,
     value_text,
@@ -181,9 +185,6 @@ class Campaign:
     def notes(self) -> tuple[str, ...]:
         """What the reader must know of scene, effects and raw data before using the numbers."""
         notes = [*filter(None, [self.remark]), *self.scene.notes, *self.executed]
-        typed = [self.light_yield, *self.measurements.readings]
-        low = {e for of in typed if of and (e := of.energy_keV) and e < LEAST_USUAL_KEV}
-        notes += [f"energy_keV = {e:g}: is it in MeV? Then write {1e3 * e:g}" for e in sorted(low)]
         if self.raw is not None:
             notes += self.raw.notes
         if self.spectrum is not None:
@@ -278,7 +279,7 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
     Raises InputError if one of the files cannot be used, if an entry is unknown or impossible, or
     if there are more free parameters than readings in use and priors.
     """
-    path = Path(path)
+    path = path_of("the campaign", path)
     others = {
         ".xml": ("a scene", f'scene = "{path.name}" and its measurements'),
         ".csv": ("a table", f'measurements = "{path.name}" and their scene'),
@@ -402,6 +403,8 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
 
 def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:
     """Refuse what no fit could determine, and a spectrum of several crystals."""
+    known = [of.energy_keV for _, of in campaign.light_yields.values()]
+    refuse_other_units(campaign.measurements, known)
     # fitted scales of which no reading in use says anything
     used = campaign.measurements.in_use
     read = {campaign.parameter_of(r, SCALE) for r in used if not r.of_beam}

@@ -10,7 +10,14 @@ import operator
 from typing import Any
 
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, COUNTED
+from mcrim_mitsuba.core.numbers import (
+    ALPHA_ABS,
+    ALPHA_SCAT,
+    COUNTED,
+    LARGEST_KEV,
+    LARGEST_PER_KEV,
+    LEAST_KEV,
+)
 from mcrim_mitsuba.core.toml_document import TomlTable
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.laboratory.peak import SHAPES
@@ -134,7 +141,9 @@ GAMMAS: Entries = {
 }
 #: Of ``[light_yield]``.
 YIELD: Entries = {
-    "energy_keV": _number("Energy deposited per event, keV", exclusiveMinimum=0),
+    "energy_keV": _number(
+        "Energy deposited per event, keV", minimum=LEAST_KEV, maximum=LARGEST_KEV
+    ),
     "detector_efficiency": _number(
         "Efficiency of the detector for the emission, a fraction", exclusiveMinimum=0, maximum=1
     ),
@@ -184,7 +193,9 @@ SHARED: Entries = {
 }
 #: Of ``[samples.NAME.light_yield]``, besides `YIELD`.
 KNOWN: Entries = {
-    KNOWN_YIELD: _number("Light yield of a reference, photons per keV", exclusiveMinimum=0),
+    KNOWN_YIELD: _number(
+        "Light yield of a reference, photons per keV", exclusiveMinimum=0, maximum=LARGEST_PER_KEV
+    ),
     KNOWN_YIELD_SIGMA: _number("Its standard error", exclusiveMinimum=0),
 }
 #: Of ``[light_yield]``, in the place of the efficiency.
@@ -349,7 +360,7 @@ _BEYOND = {
     "transmittance": (_BETWEEN, "give a fraction: 0.76 for 76 %"),
     "thickness_sigma_mm": ("is below 0", _ERROR),
     "n": ("is below 1", "a solid has an index above 1"),
-    "energy_keV": ("is not above 0", "give keV per event"),
+    "energy_keV": ("is no energy of a line in keV", "write it in keV: 662 for 0.662 MeV"),
     "detector_efficiency": ("is not above 0 and at most 1", "give a fraction: 0.127 for 12.7 %"),
     COLLECTION: ("is not above 0 and at most 1", "give a fraction: 0.9 for 90 %"),
     CROSSTALK: ("is not from 0 to 0.6", "give a probability: 0.05 for 5 %"),
@@ -357,7 +368,7 @@ _BEYOND = {
     "quantum_efficiency_scale_sigma": (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
     NEXT_SIGMA: (_BETWEEN, "it is a relative error: write 0.007 for 0.7 %"),
     SHARED_SIGMA: (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
-    KNOWN_YIELD: ("is not above 0", "give photons per keV"),
+    KNOWN_YIELD: ("is no light yield", "give photons per keV: 8.2 for 8200 per MeV"),
     KNOWN_YIELD_SIGMA: ("is not above 0", "give the standard error of the light yield"),
     "single_photoelectron": ("is not above 0", "give channels per photoelectron, or a spectrum"),
     "excess_noise_factor": (

@@ -12,7 +12,7 @@ from typing import Any
 
 from mcrim_mitsuba.core import files, table_text
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.numbers import Value, parse_number, value_text
+from mcrim_mitsuba.core.numbers import LARGEST_KEV, LEAST_KEV, Value, parse_number, value_text
 from mcrim_mitsuba.core.table_text import is_number, shown
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, refused_of_beam
 from mcrim_mitsuba.scene.values import parse_like
@@ -36,8 +36,6 @@ _SHARE = re.compile(r"([0-9]+\.?[0-9]*) ?%")
 _OPTIONAL = ("use", "group", "group_sigma")
 #: The highest over the lowest line of one campaign, at most: 5.9 to 1333 keV.
 _WIDEST_ENERGIES = 250.0
-#: Of lines that scintillators are read with: X-rays to cosmic muons in a large crystal.
-_ENERGIES_KEV = 1.0, 1e6
 #: Labels are written into CSV that people open in spreadsheets.
 _FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
 KIND = "kind"
@@ -191,7 +189,7 @@ def read_table(
     table = Measurements(path, comments, of_scene, readings, switches)
     _check_labels(table)
     _check_histograms(table)
-    _check_energies(table)
+    refuse_other_units(table)
     return table
 
 
@@ -344,7 +342,7 @@ class _Cells(dict[str, str]):
         energy = self.number(ENERGY)
         if kind == TRANSMITTANCE:
             raise self.refusal(ENERGY, f"{ENERGY} of a transmittance", "empty the cell")
-        if not _ENERGIES_KEV[0] <= energy <= _ENERGIES_KEV[1]:
+        if not LEAST_KEV <= energy <= LARGEST_KEV:
             problem = f"{ENERGY} = {energy:g} is no energy of a line in keV"
             raise self.refusal(ENERGY, problem, "write it in keV: 662 for 0.662 MeV")
         return energy
@@ -379,6 +377,10 @@ class _Cells(dict[str, str]):
         if sigma <= 0:
             mend = "give the standard error of the reading, or use = 0 to leave it out"
             raise self.refusal("sigma", f"sigma = {sigma:g} is not above 0", mend)
+        if kind == LIGHT and sigma > signal and self.get("use") != "0":
+            problem = f"sigma = {sigma:g} is more than the signal, {signal:g}"
+            mend = "give both in one unit, or use = 0: are the two columns exchanged?"
+            raise self.refusal("sigma", problem, mend)
         for name, value in (("signal", signal), ("sigma", sigma)):
             if kind == TRANSMITTANCE and value >= 1.0:
                 mend = "give the fraction of the beam: 0.76 for 76 %"
@@ -465,12 +467,12 @@ def _check_labels(table: Measurements) -> None:
                 raise table.refusal(row, "group", problem, mend)
 
 
-def _check_energies(table: Measurements) -> None:
-    """Refuse energies so far apart that one of them is in another unit."""
-    rows = [row for row in table.readings if row.energy_keV is not None]
-    energies = [row.energy_keV for row in rows if row.energy_keV is not None]
-    if energies and max(energies) > _WIDEST_ENERGIES * min(energies):
-        row = rows[energies.index(min(energies))]
+def refuse_other_units(table: Measurements, known: Collection[float] = ()) -> None:
+    """Refuse energies so far apart, those `known` too (keV), that one is in another unit."""
+    rows = {row.energy_keV: row for row in table.readings if row.energy_keV is not None}
+    energies = [*rows, *known]
+    if rows and max(energies) > _WIDEST_ENERGIES * min(energies):
+        row = rows.get(min(energies)) or rows[max(rows)]
         problem = (
             f"{ENERGY} = {min(energies):g} beside {max(energies):g}: these are hardly one unit"
         )

@@ -13,7 +13,6 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import option
 from mcrim_mitsuba.cli.terminal import console
-from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_to_replace
 
 
@@ -308,10 +307,8 @@ def budget(campaign, figure, json_file, work, map_file, **crystal) -> None:
     describe is added to the errors.
     """
     inputs = [file for file in (crystal["emission"], map_file, crystal["deposits"]) if file]
+    options.refuse_without_map()
     read = showing.read_campaign(campaign, json_file, figure, inputs=inputs)
-    if map_file is None and (crystal["deposits"] or crystal["depth_mm"]):
-        problem = "--depth and --deposits say where gammas stop on a map"
-        raise InputError(problem, "give --map FILE.nc too")
     with work.begin() as run:
         errors = mcrim.budget(read, run=run, eta_map=map_file, **crystal)
     showing.answer(errors, json_file, figure)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 from rich.console import RenderableType
 
 from mcrim_mitsuba.cli import terminal
@@ -62,7 +63,7 @@ class PhotonCount(Written):
         if _THOUSANDS.fullmatch(bare):
             bare = bare.replace(",", "")
         refuse_decimal_comma(what, bare)
-        if not _COUNT.fullmatch(bare) or not 1 <= float(bare) <= 1e13:
+        if not _COUNT.fullmatch(bare) or not 1 <= float(bare) <= 1e13 or float(bare) % 1:
             self.fail(f"{text!r} is no number of photons; give 1 to 1e13, such as 2e6")
         return round(float(bare))
 
@@ -196,6 +197,24 @@ class WithError(Written):
         return NumberWithError(number, sigma)
 
 
+class Option(click.Option):
+    """An option that is refused where it is given twice and may not be: click takes the last."""
+
+    def add_to_parser(self, parser, ctx) -> None:
+        if self.multiple or self.is_flag:
+            super().add_to_parser(parser, ctx)
+        else:
+            parser.add_option(self, self.opts, self.name, action="append", nargs=self.nargs)
+
+    def consume_value(self, ctx, opts):
+        values = opts.get(self.name)
+        if isinstance(values, list) and not self.multiple:
+            if len(values) > 1 and not ctx.resilient_parsing:
+                raise InputError(f"{self.opts[-1]} is given {len(values)} times", "give it once")
+            opts = {**opts, self.name: values[0]}
+        return super().consume_value(ctx, opts)
+
+
 def option(
     flag: str, kind: click.ParamType | str, explained: str, *name: str, **further: Any
 ) -> Callable[..., Any]:
@@ -205,7 +224,7 @@ def option(
     """
     settings: dict[str, Any] = {"metavar": kind} if isinstance(kind, str) else {"type": kind}
     settings |= {"help": explained, "show_default": "default" in further, **further}
-    return click.option(flag, *name, **settings)
+    return click.option(flag, *name, cls=Option, **settings)
 
 
 def defined(flag: str, metavar: str, explained: str, name: str, example: str = "n_gap=1.46"):
@@ -253,6 +272,15 @@ def depth(least: float, end: str = ".", **further: Any):
     """``--depth``, `least` mm or more; `end` of its help, `further` what else click takes."""
     words = f"1/e depth of gammas that stop near a face, for --map{end}"
     return option("--depth", Number("MM", least), words, "depth_mm", **further)
+
+
+def refuse_without_map() -> None:
+    """Refuse ``--depth`` and ``--deposits`` where nothing is spread over a map."""
+    context = click.get_current_context()
+    typed = [context.get_parameter_source(name) for name in ("depth_mm", "deposits")]
+    if ParameterSource.COMMANDLINE in typed and context.params["map_file"] is None:
+        problem = "--depth and --deposits say where gammas stop on a map"
+        raise InputError(problem, "give --map FILE.nc too")
 
 
 _OF_SEED = "Seed of the random numbers: the same seed gives the same result."

@@ -171,7 +171,7 @@ def simulate(
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
     followed = {"--figure": None if spectrum else figure, "--map": map_file, "--times": times_file}
     of_times = {name: given for name, given in of_times.items() if given}
-    _refuse_alone(map_file, deposits, spectrum, quantum_efficiency, times_file, of_times)
+    _refuse_alone(spectrum, quantum_efficiency, times_file, of_times)
     for flag, given in followed.items():
         if given and method == "modes":
             problem = f"{flag} follows photons, and --method modes none"
@@ -221,12 +221,9 @@ def simulate(
         showing.show(screen, result.description, [*files, *drawn])
 
 
-def _refuse_alone(
-    map_file, deposits, spectrum, quantum_efficiency, times_file, of_times: dict
-) -> None:
+def _refuse_alone(spectrum, quantum_efficiency, times_file, of_times: dict) -> None:
     """Refuse options that mean nothing without another."""
-    if deposits and not map_file:
-        raise InputError("--deposits says where light is born in a map", "give --map FILE.nc too")
+    options.refuse_without_map()
     if quantum_efficiency and not spectrum:
         problem = "--quantum-efficiency says what the detector sees of an emission"
         raise InputError(problem, "give --spectrum EMISSION.csv too")

@@ -52,7 +52,8 @@ def minimise(
             return x, height, True
         matrix = curvature[at[:, None], at]
         diagonal = matrix.diagonal()
-        size = 1.0 / np.sqrt(np.maximum(diagonal, 1e-12 * max(diagonal.max(), 1e-300)))
+        # coordinates may have any units: none is small beside another
+        size = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
         scaled = matrix * (size[:, None] * size)
         scaled.flat[:: len(at) + 1] += damping
         step = np.zeros(len(x))

@@ -68,6 +68,13 @@ def inside(path: Path) -> tuple[Path, str]:
     return (Path(parts[1]), parts[2]) if parts else (path, "")
 
 
+def path_of(what: str, value: object) -> Path:
+    """A path as it is or of its text; raises InputError if it is neither."""
+    if isinstance(value, str | os.PathLike):
+        return Path(value)
+    raise InputError(f"{what} is {value!r}", "name a file by a text or a Path")
+
+
 def is_there(path: Path) -> bool:
     """Whether there is such a file or folder; there is none of a name that no file can have.
 

@@ -177,11 +177,15 @@ SHORTEST_GAP_MM = 1e-3
 LONGEST_GAP_MM = 10.0
 #: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
 LARGEST_PER_CM = 100.0
+#: Of lines that scintillators are read with: X-rays to cosmic muons in a large crystal. Below it,
+#: MeV are the likely unit.
+LEAST_KEV, LARGEST_KEV = 1.0, 1e6
+#: No crystal makes more photons per keV than one for each 3 eV; counts are no photons, or MeV no
+#: keV.
+LARGEST_PER_KEV = 330.0
 # Beyond these a value is possible, but seldom meant: it gets a note.
 #: Gaps and films (mm) are of 0.01 to 0.5, and 1 or 2 where air is left on purpose.
 WIDEST_USUAL_GAP_MM = 3.0
-#: No crystal's light yield is measured with less (keV); MeV are the likely unit.
-LEAST_USUAL_KEV = 1.0
 #: Light that turns after a third of a millimetre (1/cm) is in milk glass or powder, not a crystal.
 LARGEST_USUAL_PER_CM = 30.0
 #: Scene parameter: where along the crystal light is born, above its bottom.

@@ -174,9 +174,8 @@ class EffectParameter:
         """
         zero = self.origin(parameters)
         # without the noise of binary sums: 2.01 + 0.03 is 2.04
-        start, low, high = (
-            round(zero + value, 12) for value in (self.start, self.minimum, self.maximum)
-        )
+        numbers = self.start, self.minimum, self.maximum
+        start, low, high = (round(zero + value, 12) if zero else value for value in numbers)
         return start, low, high
 
     def plausible_in(self, parameters: Mapping[str, Value]) -> tuple[float, float]:

@@ -192,7 +192,7 @@ def _refuse_other_benches(simulation: Simulation) -> None:
     where = _first_difference(simulation.model, meant.model)
     if where in [surface.name for surface in simulation.model.surfaces]:
         path, line = file.place_of_id(where)
-    elif where is None and _emission(simulation) != _emission(meant):
+    elif where is None and not _alike(_emission(simulation), _emission(meant)):
         where = "its emitter"
         path, line = file.place_of(next(file.root.iter("emitter")))
     elif where is None and simulation.polarization != meant.polarization:
@@ -210,10 +210,10 @@ def _refuse_other_benches(simulation: Simulation) -> None:
 
 
 def _emission(simulation: Simulation) -> tuple:
-    """Where light is born: its depth below a face, or the axis of a beam."""
+    """Where light is born: in which volume, its depth below a face, or the axis of a beam."""
     crystal = simulation.crystal
-    axis = getattr(crystal, "axis", None)
-    return crystal.source_depth_mm, crystal.side_depth_mm, crystal.in_part, axis
+    box, axis = (crystal.lower, crystal.upper), getattr(crystal, "axis", None)
+    return *box, crystal.source_depth_mm, crystal.side_depth_mm, crystal.in_part, axis
 
 
 def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:

@@ -223,7 +223,8 @@ class Explanations:
                 values = self._nodes_by_size(effect, name)
             bounds = self.statistic(added).parameter(name)
             values = np.unique(np.clip(values, bounds.minimum, bounds.maximum)).tolist()
-            axes.append([v for v in values if not math.isclose(v, absent[name], abs_tol=1e-12)])
+            fine = 1e-9 * (values[-1] - values[0])
+            axes.append([v for v in values if not math.isclose(v, absent[name], abs_tol=fine)])
         while math.prod(len(axis) for axis in axes) > EXPLAINING.most_nodes:
             axes = [axis[:: max(1, len(axis) // 3)] for axis in axes]
         return [dict(zip(names, values, strict=True)) for values in product(*axes)]

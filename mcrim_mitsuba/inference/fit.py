@@ -16,7 +16,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes, plain
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, LARGEST_PER_KEV
 from mcrim_mitsuba.core.rounding import p_equals, short_text
 from mcrim_mitsuba.inference.drivers import Minimum, find_minima
 from mcrim_mitsuba.inference.estimates import (
@@ -177,6 +177,7 @@ def result_of(minima: list[Minimum], *, profile: bool) -> Calibration:
         *campaign.notes,
         *_notes_of_raw_data(campaign, fit.parameters),
         *_notes_of_search(minima),
+        *_notes_of_light_yields(fit.parameters),
         *_notes_of_disagreement(fit, prediction),
         *notes_of_intervals,
         *_notes_of_simulation(fit.parameters),
@@ -306,6 +307,16 @@ def _notes_of_search(minima: list[Minimum]) -> Iterator[str]:
         if higher < FIT_NOTES.rival:
             where = ", ".join(f"{name} = {value:.4g}" for name, value in other.values.items())
             yield f"a second solution, chi2 {higher:.2f} higher: {where}"
+
+
+def _notes_of_light_yields(parameters: dict[str, ParameterEstimate]) -> Iterator[str]:
+    """Whether a light yield is more than any crystal's."""
+    for name, fitted in parameters.items():
+        if name.endswith("_ph_per_keV") and fitted.value > LARGEST_PER_KEV:
+            yield (
+                f"{name} is {fitted.value:.3g}, and no crystal makes more than "
+                f"{LARGEST_PER_KEV:g}: is energy_keV in MeV, or are the signals no photons?"
+            )
 
 
 def _notes_of_disagreement(fit: Calibration, prediction: Prediction) -> Iterator[str]:

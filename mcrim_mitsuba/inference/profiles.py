@@ -75,7 +75,10 @@ def crossings(
         for inner in outward:
             outer = inner + outward.step
             if curve is not None and heights[outer] >= height:
-                return float(brentq(lambda at: float(curve(at)) - height, x[inner], x[outer]))
+                fine = min(2e-12, 1e-6 * abs(x[outer] - x[inner]))
+                return float(
+                    brentq(lambda at: float(curve(at)) - height, x[inner], x[outer], xtol=fine)
+                )
         return None
 
     return crossing(range(lowest, 0, -1)), crossing(range(lowest, len(x) - 1))

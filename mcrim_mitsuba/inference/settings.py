@@ -36,6 +36,8 @@ class LinearTheory:
     least_leverage: float = 1e-9
     #: Error on left out readings, in their standard errors, from which the others do not tell them.
     largest_error: float = 1e3
+    #: Powers of 2 that readings are from 1 before their scale is searched in units of its own.
+    usual_size: int = 15
 
 
 LINEAR = LinearTheory()

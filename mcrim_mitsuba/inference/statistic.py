@@ -222,7 +222,7 @@ class Statistic:
 
     alpha_scat is searched in its logarithm, since eta changes with it over decades; the parameters
     of effects in the coordinate that the effect names, ``log`` or ``reciprocal``; all others in
-    themselves.
+    themselves, scales of very large or small readings in units of these.
     """
 
     def __init__(self, model: Model) -> None:
@@ -286,7 +286,12 @@ class Statistic:
         self.logarithmic = np.array([kind == "log" for kind in kinds], bool)
         self._reciprocal = np.array([kind == "reciprocal" for kind in kinds], bool)
         self._inverted = bool(self._reciprocal.any())
-        self._curved = self._inverted or bool(self.logarithmic.any())
+        # of scales, where readings are far from 1: descents have sizes of their own
+        self._units = np.ones(len(self.free))
+        for name, rows in self.scales.items():
+            size = round(math.log2(np.median(np.abs(self.signal[rows])) or 1.0))
+            self._units[self.index(name)] = 2.0**size if abs(size) > LINEAR.usual_size else 1.0
+        self._curved = self._inverted or bool(self.logarithmic.any() or (self._units != 1.0).any())
         self.bounds = tuple(np.array([(p.minimum, p.maximum) for p in self.free]).reshape(-1, 2).T)
         #: (free,) Minimum and maximum in the searched coordinates; and the same, the lower first.
         self.walls = self.internal(self.bounds[0]), self.internal(self.bounds[1])
@@ -335,7 +340,7 @@ class Statistic:
 
     def internal(self, theta: Array) -> Array:
         """(free,) coordinates that are searched."""
-        x = np.array(theta, float)
+        x = np.array(theta, float) / self._units
         if self._curved:
             x[self.logarithmic] = np.log(x[self.logarithmic])
             with np.errstate(divide="ignore"):
@@ -349,7 +354,7 @@ class Statistic:
         """
         if not math.isfinite(x.sum()):
             raise self._beyond_arithmetic()
-        theta = x.copy()
+        theta = x * self._units
         if self._curved:
             np.exp(x, where=self.logarithmic, out=theta)
             if self._inverted:
@@ -361,7 +366,7 @@ class Statistic:
 
     def slopes_of_external(self, theta: Array) -> Array:
         """(free,) d parameter / d searched coordinate."""
-        chain = np.where(self.logarithmic, theta, 1.0)
+        chain = np.where(self.logarithmic, theta, self._units)
         if self._inverted:
             chain[self._reciprocal] = -(theta[self._reciprocal] ** 2)
         return chain

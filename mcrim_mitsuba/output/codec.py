@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 #: Whole numbers beyond are nobody's result, and no float can hold the largest that JSON may have.
 _LARGEST_WHOLE = 2**63
+#: By which an interpolated part of the light may leave 0 to 1.
+_ROUNDING = 1e-3
 MEND = "give what --json of calibrate, compare, diagnose, report, simulate or table wrote"
 # a column's name: what NetCDF and CSV can hold
 _NAME = re.compile(r"[^\W\d][^\x00-\x1f/\"]*")
@@ -95,6 +97,17 @@ _TEXTS = ("label", "name", "verdict", "effect", "at_bound")
 _FLAGS = ("use", "plausible")
 
 
+def impossible(name: str, value: float) -> str:
+    """What is wrong with a number of this name that no result has; empty where nothing is."""
+    if name.endswith("sigma") and value < 0:
+        return "a negative error"
+    if name == "eta" and not -_ROUNDING <= value <= 1 + _ROUNDING:
+        return "no fraction of the light"
+    if name in ("p_value", "p_global", "probability") and not 0 <= value <= 1:
+        return "no probability"
+    return "below 0" if name in ("chi2", "photons") and value < 0 else ""
+
+
 class JsonObject:
     """An object of a JSON file; `place` says where in it, for messages.
 
@@ -122,8 +135,8 @@ class JsonObject:
             problem = "a whole number of more than 64 bits"
         elif not math.isfinite(value):
             problem = "not finite"
-        elif name.endswith("sigma") and value < 0:
-            problem = "a negative error"
+        else:
+            problem = impossible(name, value)
         if problem:
             raise self.refusal(name, problem)
         return value

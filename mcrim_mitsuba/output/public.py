@@ -14,7 +14,8 @@ import dataclasses
 import functools
 import inspect
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, overload
 
@@ -82,9 +83,30 @@ InputError
 """
 
 
+def _is_texts(value: object) -> bool:
+    several = [value] if isinstance(value, str) else value
+    return isinstance(several, Collection) and all(isinstance(text, str) for text in several)
+
+
+#: What annotations ask for, and in words; numbers are looked at where they are used.
+_KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "str": (lambda value: isinstance(value, str), "a text"),
+    "str | Path": (lambda value: isinstance(value, str | PathLike), "a file's name or Path"),
+    "str | Sequence[str]": (_is_texts, "a name, or a list of names"),
+    "Sequence[str]": (_is_texts, "a list of names"),
+    "Mapping[str, float | str]": (lambda value: isinstance(value, Mapping), "a dictionary"),
+    "bool": (lambda value: isinstance(value, bool | int | np.bool_), "True or False"),
+    "Run": (lambda value: isinstance(value, Run), "a Run"),
+    "Progress": (callable, "a function"),
+    "Callable[[RepairStep], None]": (callable, "a function"),
+    "Conditions": (dataclasses.is_dataclass, "Conditions"),
+}
+
+
 def _public(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
-    """The function, which says what it raises, and refuses a misspelt keyword in the same way."""
-    signature = inspect.signature(function).parameters
+    """The function, which says what it raises, and refuses what is no argument in the same way."""
+    whole = inspect.signature(function)
+    signature = whole.parameters
     open_ended = any(p.kind is p.VAR_KEYWORD for p in signature.values())
 
     @functools.wraps(function)
@@ -93,6 +115,18 @@ def _public(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _
             if name not in signature:
                 mend = did_you_mean(name, sorted({*_FIELDS_OF_RUN, *signature}))
                 raise InputError(f"{name} is no field of a run", mend)
+        try:
+            bound = whole.bind(*args, **given)
+        except TypeError as error:
+            called = f"mcrim.{function.__name__}"
+            raise InputError(f"{called}: {error}", f"see help({called})") from None
+        for name, value in bound.arguments.items():
+            kind = signature[name].annotation
+            if value is None and kind.endswith("None"):
+                continue
+            fits, words = _KINDS.get(kind.removesuffix(" | None"), (None, ""))
+            if fits is not None and not fits(value):
+                raise InputError(f"{name} is {value!r}", f"give {words}")
         return function(*args, **given)
 
     refusing.__doc__ = inspect.cleandoc(function.__doc__ or "") + _RAISES
@@ -907,6 +941,8 @@ def plan(
         for name, (values, read) in readers.items()
         if values is not None
     }
+    for name in (name for name, values in choices.items() if not values):
+        raise InputError(f"there is no value of {name}", "give one at least")
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     wanted = _above_0("wanted", wanted, "relative error")
     planning = plan_measurement(

@@ -112,6 +112,9 @@ def crosscheck(
     fates = [f for f in fates if ours.budget.get(f, 0.0) or reference.counts.get(f, 0)]
     rows = tuple(_row(quantity, ours, reference, solved) for quantity in ("eta", *fates))
     scores = [abs(z) for row in rows for z in (row.z, row.modes_z) if z is not None]
+    if not scores:
+        problem = f"{photons} photons are too few to compare a single fate"
+        raise InputError(problem, "give more --photons")
     return Crosscheck(
         rows=rows,
         family_p_value=min(1.0, len(scores) * 2.0 * float(ndtr(-max(scores)))),

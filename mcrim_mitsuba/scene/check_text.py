@@ -144,13 +144,18 @@ def indices_of(file: SceneFile, shape: Node) -> tuple[float, float] | None:
         index, offset = element.named(f"{side}_ior"), element.named(f"{side}_offset")
         value = NAMED_INDICES[default]
         if index is not None:
-            text = index.get("value", "")
-            value = NAMED_INDICES.get(text.lower(), 1.0) if index.tag == "string" else float(text)
+            value = _nominal(index)
             # only the bsdf `polish` has an offset
             if offset is not None and is_filled(value):
                 value += float(offset.get("value", ""))
         indices.append(value)
     return indices[0], indices[1]
+
+
+def _nominal(index: Node) -> float:
+    """The number of an index, or of the name in its place."""
+    text = index.get("value", "")
+    return NAMED_INDICES.get(text.lower(), 1.0) if index.tag == "string" else float(text)
 
 
 # What is wrong with a scene, as far as its text tells.
@@ -167,6 +172,8 @@ def problems_of_text(file: SceneFile) -> list[SceneProblem]:
         *_problems_of_rotations(file),
         *_problems_of_spheres(file),
         *_problems_of_faces(file, {file.parameters[name] for name in parameters}),
+        *_problems_of_media(file),
+        *_problems_of_defaults(file),
     ]
 
 
@@ -269,6 +276,40 @@ def _problems_of_faces(file: SceneFile, told: Collection[Value]) -> list[ScenePr
         problems.append(SceneProblem("surface", text, mend, *file.place_of(shape)))
     # One dielectric may serve many faces: say it once.
     return list(dict.fromkeys(problems))
+
+
+def _problems_of_media(file: SceneFile) -> Iterator[SceneProblem]:
+    """Media whose own index, which tells whether they are air, is not that of their faces."""
+    for shape in file.parts.shapes:
+        face = _dielectric_of(file, shape)
+        for medium, side in zip(file.parts.media(shape), ("int_ior", "ext_ior"), strict=True):
+            own = None if medium is None else medium.named("index")
+            index = None if face is None else face.named(side)
+            if medium is None or own is None or index is None:
+                continue
+            if abs(_nominal(own) - _nominal(index)) > 1e-6:
+                text = f"{medium.label} has the index {_nominal(own):g}, but {shape.label} "
+                text += f"(line {index.sourceline}) gives it {_nominal(index):g}"
+                mend = "let both name the same index"
+                yield SceneProblem("index", text, mend, *file.place_of(own))
+
+
+#: What Mitsuba takes where a plugin is not told its most important numbers.
+_UNTOLD = {
+    "diffuse": {"reflectance": "0.5"},
+    "homogeneous": {"sigma_t": "1 per mm", "albedo": "0.75"},
+    "hg": {"g": "0.8"},
+}
+
+
+def _problems_of_defaults(file: SceneFile) -> Iterator[SceneProblem]:
+    """Plugins whose most important numbers are nowhere written."""
+    for element in file.root.iter("bsdf", "medium", "phase"):
+        for name, default in _UNTOLD.get(element.type, {}).items():
+            if element.named(name) is None:
+                text = f"{element.label} does not say its {name}: Mitsuba would take {default}"
+                mend = f'write <float name="{name}" value="..."/>'
+                yield SceneProblem("surface", text, mend, *file.place_of(element))
 
 
 def _problems_of_dielectric(

@@ -19,7 +19,14 @@ from typing import Any
 from lxml import etree
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.files import BYTES_PER_MB, is_there, look_around, read_bytes, resolved
+from mcrim_mitsuba.core.files import (
+    BYTES_PER_MB,
+    is_there,
+    look_around,
+    path_of,
+    read_bytes,
+    resolved,
+)
 from mcrim_mitsuba.core.numbers import Value, doubts, unit_of, value_text
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.values import (
@@ -286,7 +293,7 @@ def read_scene(
     """
     if isinstance(path, SceneFile):
         return path.with_overrides(overrides) if overrides else path
-    path = Path(path)
+    path = path_of("the scene", path)
     if (kind := _OTHERS.get(path.suffix.lower())) and is_there(path) and path.is_file():
         raise InputError(f"this is {kind}, not a scene", "name a scene (.xml)", path=path)
     return _assemble(path, overrides or {}, {}, {})

@@ -356,7 +356,10 @@ def _grey(value) -> float:
 
 def _first(value) -> float:
     """First component of a scalar, Dr.Jit array or spectrum (transport is monochromatic)."""
-    return float(np.ravel(np.array(value, dtype=np.float64))[0])
+    values = np.ravel(np.array(value, dtype=np.float64))
+    if np.ptp(values) > 1e-6 * abs(values[0]):
+        raise InputError("a medium has a colour", "light is monochromatic: give single numbers")
+    return float(values[0])
 
 
 def _flat_faces(shape, number: int) -> list[FlatFace] | None:

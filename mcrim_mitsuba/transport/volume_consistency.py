@@ -446,6 +446,11 @@ class _Judge:
             )
             mend = "move it out, or name the volume as its interior or exterior"
             return [_at(face, "overlap", text, mend)]
+        if n_before == n_after:
+            what = f"{face.surface} and {other.surface if other else 'what is outside'} name"
+            text = f"{what} different volumes for the space between them"
+            mend = "let both name the same one, as their interior or exterior, or none"
+            return [_at(face, "overlap", text, mend)]
         says = "outside is air, 1"
         if other:
             says = f"{other.surface} (line {other.line}) says {n_before:g}"

@@ -339,13 +339,11 @@ def with_yield(scenes, folder, entries="", scene=lambda text: text, energy="59.5
     return campaign(folder, without + entries)
 
 
-def test_an_energy_in_mev_is_doubted(folder, scenes):
-    def energy_of(keV):
-        return with_yield(scenes, folder, energy=keV).notes
-
-    told = "energy_keV = 0.662: is it in MeV? Then write 662"
-    assert told in energy_of("0.662")
-    assert not any("MeV" in note for note in energy_of("59.5"))
+def test_an_energy_in_mev_beside_rows_in_kev_is_refused(folder, scenes):
+    path, table = with_yield(scenes, folder, energy="1.275").path, folder / "camoo4_measured.csv"
+    text = table.read_text().replace("n_gap\n", "n_gap,energy_keV\n")
+    table.write_text(re.sub(r"^(air|gel)(.*)", r"\1\2,1275", text, flags=re.MULTILINE))
+    assert "1.275 beside 1275: these are hardly" in refusal(read_campaign, path)
 
 
 CONVENTION_LINE = 'convention = "article"                # its own conventions and physics\n'

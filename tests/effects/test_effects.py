@@ -403,6 +403,8 @@ def test_a_nonlinear_readout_divides_by_nothing_and_rises_on():
         assert by_value == pytest.approx((up - down) / 2e-8, rel=0.01)
     (beside,) = KNOWN["nonlinearity"].beside(np.array([5.0, 40.0])).parameters
     assert beside.plausible_in({}) == (-0.1 / 40.0, 0.2 / 40.0)
+    (tiny,) = KNOWN["background"].beside(np.array([3e-20, 5e-19])).parameters  # coulombs
+    assert tiny.range_in({}) == (0.0, -3e-20, 3e-20)
 
 
 def test_the_old_name_of_an_effect_is_read_and_taken(bench, tmp_path):

@@ -89,6 +89,8 @@ def test_no_other_bench_is_taken_for_it(tmp_path):
     text = plain.path.read_text()
     shallow = '"light_collection"><integer name="max_depth" value="10"/>'
     benches["shallow"] = plain.edited(text.replace('"light_collection">', shallow, 1))
+    glowing = text.replace('<ref id="crystal"/>', '<ref id="window"/>', 1)
+    benches["glowing"] = plain.edited(glowing)
     for name, scene in benches.items():
         own = {n: v for n, v in overrides.items() if n in scene.parameters}
         with contextlib.suppress(InputError):

@@ -20,6 +20,7 @@ from scipy import optimize, stats
 from trials.surface_model import CampaignModel, InterpolatedSurface, axes_for
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.core.descent import minimise
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.efficiency.eta_grid import Grid
@@ -481,6 +482,36 @@ def test_pulls_intervals_and_chi2_are_those_of_the_truth(campaign):
     assert np.all(np.abs(pulls.std(axis=0) - 1) < 4.3 * 0.065), pulls.std(axis=0)
     assert np.all(np.abs(coverage - 0.683) < 4.3 * 0.0425), coverage
     assert stats.kstest(p_values, "uniform").pvalue > 1e-4
+
+
+@pytest.mark.parametrize("unit", [1e-30, 1e-19, 1e3, 1e20])
+def test_the_unit_of_the_signals_changes_nothing(campaign, unit):
+    """Coulombs and channels; a light yield that no crystal has is told."""
+    rows = "label,signal,sigma,n_gap\nair,{:g},{:g},1.00\ngel,{:g},{:g},1.46\n"
+    there = fit_campaign(campaign(ALPHA + PRIOR + YIELD), couplings())
+    in_unit = rows.format(*(unit * number for number in (14.3, 0.2, 24.5, 0.4)))
+    result = fit_campaign(campaign(ALPHA + PRIOR + YIELD, in_unit), couplings())
+    for name, other in there.parameters.items():
+        factor, found = 1.0 if "alpha" in name else unit, result.parameters[name]
+        for number in ("value", "sigma", "lower", "upper"):
+            assert getattr(found, number) / factor == pytest.approx(
+                getattr(other, number), rel=1e-6
+            )
+    assert any("no crystal makes more" in note for note in result.notes) == (unit > 1.0)
+    assert not any("no crystal makes more" in note for note in there.notes)
+
+
+def test_a_descent_moves_coordinates_of_any_unit():
+    """A valley whose two coordinates have curvatures of 1e40 and 1e-30."""
+    units, lowest = np.array([1e-20, 1e15]), np.array([3.0, -2.0])
+
+    def height_at(x):
+        residuals = x / units - lowest
+        return float(residuals @ residuals), residuals / units, np.diag(units**-2.0)
+
+    infinite = np.full(2, np.inf)
+    x, height, converged = minimise(height_at, np.zeros(2), -infinite, infinite)
+    assert converged and height < 1e-5 and x / units == pytest.approx(lowest, rel=1e-2)
 
 
 def test_linear_fit_against_its_closed_form(campaign):

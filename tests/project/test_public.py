@@ -302,6 +302,25 @@ def test_numbers_of_any_kind_are_taken_or_refused(field):
         mcrim.Run(seed=None)
 
 
+def test_what_is_no_argument_is_refused_in_a_line():
+    campaign = SCENES / "camoo4_campaign.toml"
+    for verb, given, told in (
+        (mcrim.simulate, [None], "the scene is None; name a file"),
+        (mcrim.read_scene, [b"camoo4.xml"], "the scene is b'camoo4.xml'"),
+        (mcrim.diagnose, [["a.toml"]], "the campaign is ['a.toml']"),
+        (mcrim.report, [campaign, None], "output is None"),
+        (mcrim.eta_spectrum, [BENCH, 5], "spectrum is 5"),
+        (functools.partial(mcrim.simulate, run={"seed": 1}), [BENCH], "give a Run"),
+        (functools.partial(mcrim.diagnose, only=[3]), [campaign], "only is [3]; give a name"),
+        (functools.partial(mcrim.plan, n_gap=[]), [campaign, 0.1], "there is no value of n_gap"),
+        (mcrim.calibrate, [], "mcrim.calibrate: missing a required argument: 'campaign'"),
+        (mcrim.simulate, [BENCH, 1e6], "mcrim.simulate: too many positional arguments"),
+    ):
+        with pytest.raises(mcrim.InputError) as refused:
+            verb(*given)
+        assert told in str(refused.value)
+
+
 def test_other_numbers_of_any_kind_are_taken_or_refused():
     for value in (np.float32(0.5), "0.5", Fraction(1, 2), Decimal("0.5"), np.array(0.5)):
         assert mcrim.Run(precision=value).precision == 0.5

@@ -243,7 +243,8 @@ def test_a_crystal_without_a_size_is_no_matter_of_units(tmp_path):
 def test_a_reflector_that_turns_its_black_back_to_the_crystal_is_noted(tmp_path, angle, notes):
     """Eta is 0.25 so, and 0.31 the other way round."""
     foil = f"""<shape type="rectangle" id="foil"><transform name="to_world"><scale value="20"/>
-<rotate x="1" angle="{angle}"/><translate z="12"/></transform><bsdf type="diffuse"/></shape>"""
+<rotate x="1" angle="{angle}"/><translate z="12"/></transform><bsdf type="diffuse">
+<spectrum name="reflectance" value="0.5"/></bsdf></shape>"""
     path = tmp_path / "scene.xml"
     path.write_text(BENCH.replace("</scene>", f"{foil}</scene>"))
     report = check_scene(path, light=False)

@@ -64,7 +64,8 @@ def test_faces_that_do_more_than_refract_are_met_one_by_one(scenes, effect):
 
 def test_nothing_may_stand_in_the_film(scenes):
     speck = '<shape type="disk" id="speck"><transform name="to_world"><scale value="0.1"/>'
-    speck += '<translate z="10.1"/></transform><bsdf type="diffuse"/></shape></scene>'
+    speck += '<translate z="10.1"/></transform><bsdf type="diffuse"><spectrum name="reflectance" '
+    speck += 'value="0.5"/></bsdf></shape></scene>'
     assert film_of(wrapped(scenes, old="</scene>", new=speck, film_mm=0.3)) is None
     assert film_of(wrapped(scenes, film_mm=0.3)) is not None
 

@@ -210,9 +210,11 @@ def test_what_the_scene_cannot_count_or_light(mirrors, given, words):
 
 def test_a_slab_wants_its_middle_and_no_depth(scenes, tmp_path):
     slab = '<float name="source_width_mm" value="2"/>'
-    depth = '<float name="source_z_mm" value="5"/><float name="source_depth_mm" value="1"/>'
+    middle = '<float name="source_z_mm" value="5"/>'
+    depth = f'{middle}<float name="source_depth_mm" value="1"/>'
     text = (scenes / "camoo4.xml").read_text()
-    for more, words in {slab: "without source_z_mm", slab + depth: "falls with the depth"}.items():
+    told = {slab: "without source_z_mm", slab + depth: "falls with the depth"}
+    for more, words in {**told, middle: "without source_width_mm"}.items():
         path = tmp_path / "slab.xml"
         path.write_text(text.replace("</emitter>", f"{more}</emitter>"))
         assert words in refusal(Simulation, path)

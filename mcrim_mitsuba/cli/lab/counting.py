@@ -20,7 +20,7 @@ from mcrim_mitsuba.core.files import (
     resolved,
     write_text,
 )
-from mcrim_mitsuba.core.numbers import parse_number
+from mcrim_mitsuba.core.numbers import LARGEST_KEV, LEAST_KEV, parse_number
 from mcrim_mitsuba.output.describe_laboratory import of_peaks
 from mcrim_mitsuba.output.registry import VerbResult
 
@@ -63,7 +63,12 @@ class _Window(options.Written):
     "escapes",
     multiple=True,
 )
-@option("--energy-keV", options.Number("KEV", 1e-3, 1e7), "Energy of the peak, keV.", "energy_keV")
+@option(
+    "--energy-keV",
+    options.Number("KEV", LEAST_KEV, LARGEST_KEV),
+    "Energy of the peak, keV.",
+    "energy_keV",
+)
 @options.file(
     "--calibration",
     "Campaign, or a file with its table [calibration]: FILEs are in channels of a digitiser; how "
@@ -128,8 +133,7 @@ def peak(
     if lines and (below.step or below.lines):
         problem = "--step or --escape-keV beside --lines, whose neighbours lie below them"
         raise InputError(problem, "fit one peak, with --window about it")
-    if deposits and not map_file:
-        raise InputError("--deposits says where gammas stop on a map", "give --map FILE.nc too")
+    options.refuse_without_map()
     inputs = [inside(Path(file))[0] for file in files]
     inputs += map(Path, filter(None, (calibration_file, map_file, deposits)))
     further = {"calibration": calibration_file, "lines": lines, "widths": map_file}

@@ -13,6 +13,7 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import Number, NumberWithError, Precision, WithError, option
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import READS, attributes, collected
+from mcrim_mitsuba.core.numbers import LARGEST_PER_KEV, LEAST_KEV
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget
 from mcrim_mitsuba.output import describe_laboratory
 from mcrim_mitsuba.output.registry import VerbResult
@@ -75,6 +76,8 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     words = f"{' and '.join(lacking)} came without an error (as in 14.3±0.2): the budget lacks it"
     notes = [*([words] if lacking else []), _INSIDE_THE_WINDOW]
     labels = _labels(signals, etas, labels)
+    if energy_keV.value < LEAST_KEV:
+        raise InputError(f"--energy-keV = {energy_keV.value:g}", "write 662 for 0.662 MeV")
     couplings = {}
     for label, signal, eta in zip(labels, signals, etas, strict=True):
         counts = f"counts, {label}" if len(labels) > 1 else "counts"
@@ -86,6 +89,9 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
         )
         couplings[label] = (signal.value, signal.sigma), (eta.value, eta.sigma), light
     together = common_value([light for *_, light in couplings.values()])
+    if together.mean.value > LARGEST_PER_KEV:
+        words = f"no crystal makes more than {LARGEST_PER_KEV:g} photons per keV"
+        notes.append(f"{words}: is the energy in MeV, or are the signals no photons?")
     budgets = {label: budget_of(light).merged for label, (*_, light) in couplings.items()}
     if len(couplings) > 1:
         budgets["together"] = budget_of(together.mean).merged
