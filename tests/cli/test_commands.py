@@ -178,7 +178,7 @@ def test_impossible_outputs_are_refused_before_any_work(mcrim, monkeypatch, camp
         "transport.simulation.Simulation",
         "efficiency.table.eta_table",
         "inference.repair.repair",
-        "inference.calibrate.calibrate",
+        "inference.simulations.calibrate",
         "inference.compare.comparison_of",
         "reference.crosscheck.crosscheck",
         "inference.diagnose.diagnose",

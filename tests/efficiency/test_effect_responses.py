@@ -21,10 +21,9 @@ from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, difference
 from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.efficiency.proposals import Beyond, coverage_of
 from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR, ResponseMaker
-from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.repair import mended_files, repair
-from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, calibrate
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.simulation import Simulation
