@@ -240,8 +240,8 @@ class ReportResult(RepairResult):
     @classmethod
     def of_report(cls, path: Path, sections: Sections) -> Self:
         """The result of a report that was written."""
-        further = {"provenance": sections.repaired.simulations.provenance(), "sections": sections}
-        return cls.of_repair(sections.repaired, sections.campaign, path=path, **further)
+        further = {"provenance": sections.simulations.provenance(), "sections": sections}
+        return cls.of_repair(sections, sections.campaign, path=path, **further)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
