@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -377,27 +377,13 @@ class EtaRun:
 
 
 def record_surface(
-    scene: SceneFile,
-    points: Sequence[Coefficients],
-    *,
-    run: Run,
-    alpha_scat_range_per_cm: tuple[float, float] | None = None,
-    alpha_abs_range_per_cm: tuple[float, float] | None = None,
+    scene: SceneFile, points: Sequence[Coefficients], *, run: Run, **further: Any
 ) -> tuple[EtaSurface, EtaRun]:
-    """One simulation that answers all points.
+    """One simulation that answers all points; `further` fields are those of an `EtaRequest`.
 
-    Parameters
-    ----------
-    scene, points, run, alpha_scat_range_per_cm, alpha_abs_range_per_cm
-        See `EtaRequest`.
-
-    Raises
-    ------
-    InputError
-        If the scene is not sound, leaks, or keeps more light than records may miss.
+    Raises InputError if the scene is not sound, leaks, or keeps more light than records may miss.
     """
-    ranges = alpha_scat_range_per_cm, alpha_abs_range_per_cm
-    return record_surfaces([EtaRequest("simulation", scene, points, run, *ranges)])[0]
+    return record_surfaces([EtaRequest("simulation", scene, points, run, **further)])[0]
 
 
 def record_surfaces(requests: Sequence[EtaRequest]) -> list[tuple[EtaSurface, EtaRun]]:

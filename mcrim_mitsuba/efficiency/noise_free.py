@@ -41,12 +41,7 @@ NOTE = (
 
 
 def refuse_method(method: str, run: Run) -> None:
-    """Refuse a method that there is not, and photons for one that follows none.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse (InputError) a method that there is not, and photons for one that follows none."""
     if method not in METHODS:
         raise InputError(f"there is no method {method}", f"take {' or '.join(METHODS)}")
     if method == "modes" and run.photons is not None:

@@ -127,21 +127,13 @@ def eta_table(
     them out of the records; points that the photons say too little about are simulated on their
     own. What is asked for twice is simulated once.
 
-    Parameters
-    ----------
-    scene : str, Path or SceneFile
-    axes : mapping of str to sequence of values
-        By parameter of the scene; all others keep the scene's values.
-    run : Run
-        Its photons (2 million, with a precision as many as it takes) are those of a
-        configuration, and again of each point that is simulated on its own. Photon records round
-        them up to a multiple of `transport.launch_plan.LANES`. Its precision is that of every
-        point.
+    Axes are values by parameter of the scene; all others keep the scene's. The run's photons (2
+    million, with a precision as many as it takes) are those of a configuration, and again of each
+    point that is simulated on its own. Photon records round them up to a multiple of
+    `transport.launch_plan.LANES`. Its precision is that of every point.
 
-    Raises
-    ------
-    InputError
-        If the scene is not sound or lacks one of the parameters, or a value is out of range.
+    Raises InputError if the scene is not sound or lacks one of the parameters, or a value is out of
+    range.
     """
     file = read_scene(scene)
     grid = TableGrid.of(file, axes)
@@ -383,12 +375,7 @@ def _value(name: str, value: object) -> float:
 
 
 def _refuse_axes(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
-    """Refuse axes that a scene has no parameters for, and values out of range.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse axes that a scene has no parameters for, and values out of range."""
     for name, values in ({ALPHA_ABS: [0.0], ALPHA_SCAT: [0.0]} | dict(axes)).items():
         if name not in file.parameters:
             usual = name in COLUMNS

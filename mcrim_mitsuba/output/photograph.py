@@ -334,20 +334,12 @@ def render(
 ) -> Rendering:
     """Photograph a bench as it stands and taken apart, and its lower edge enlarged.
 
+    `samples` are light paths per pixel, `SAMPLES` when not given; `scale` is that of the pixels
+    over the full size, 1800 x 1150. The run is of a variant of `VARIANTS`, and the same seed gives
+    the same picture; photons and precision do not matter.
+
     Raises InputError if the scene cannot be read or is not sound, the variant has no colours, or a
     shape cannot be drawn.
-
-    Parameters
-    ----------
-    overrides : mapping, optional
-        Scene parameters that differ from the file's.
-    samples : int, optional
-        Light paths per pixel; `SAMPLES` when not given.
-    scale : float
-        Pixels over those of the full size, 1800 x 1150.
-    run : Run
-        Of a variant of `VARIANTS`; the same seed gives the same picture. Photons and precision do
-        not matter.
     """
     if run.variant not in VARIANTS:
         problem = f"the variant {run.variant!r} makes no pictures in colour"
