@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -81,11 +81,6 @@ class EtaSurface:
         ]
         return cls(grid, merged(tables, [launch.photons for launch in records]))
 
-    @property
-    def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
-        """Range of alpha_scat in which the surface may be asked."""
-        return self.grid.alpha_scat_range_per_cm
-
     def evaluate(
         self,
         alpha_scat_per_cm: float,
@@ -130,13 +125,6 @@ class EtaSurface:
             return self.evaluate(*point)
         except InputError:
             return None
-
-    def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
-        """Monte Carlo covariance of eta at two points, each a value for every parameter."""
-        points = [(point[ALPHA_SCAT], point[ALPHA_ABS]) for point in (first, second)]
-        batches = self.batches(points)
-        products = np.prod(batches - batches.mean(axis=0), axis=1)
-        return float(products.sum()) / (len(batches) * (len(batches) - 1))
 
     def etas(self, points: Sequence[Coefficients]) -> NDArray[np.float64]:
         """(points,) eta, unchecked."""

@@ -41,7 +41,7 @@ from mcrim_mitsuba.efficiency.eta_surface import (
     record_surfaces,
 )
 from mcrim_mitsuba.efficiency.proposals import SMALLEST_PER_CM
-from mcrim_mitsuba.efficiency.simulate import collect
+from mcrim_mitsuba.efficiency.simulate import collect_whole
 from mcrim_mitsuba.efficiency.surface import Coefficients
 from mcrim_mitsuba.scene.check_text import problems_of_counted
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
@@ -309,7 +309,8 @@ def _answer_all(
     notes = [note for behind in work for note in behind.notes]
     for (key, bench), point in itertools.product(benches.items(), points):
         if (key, point) not in answers:
-            result = _simulate(bench.scene, bench.name, point, run)
+            coefficients = dict(zip(COEFFICIENTS, point, strict=True))
+            result = collect_whole(bench.scene, coefficients, bench.name, run)
             answers[key, point] = _Answer(result.eta, result.eta_sigma, None)
             work.append(result)
             a_s, a_a = point
@@ -349,18 +350,6 @@ def _record(
         for cut, surface in zip(cuts[scene], behind.surfaces, strict=True)
     }
     return surfaces, runs
-
-
-def _simulate(bench: SceneFile, name: str, point: Coefficients, run: Run) -> SimulationResult:
-    """One point alone."""
-    from mcrim_mitsuba.transport.simulation import Simulation
-
-    coefficients = dict(zip(COEFFICIENTS, point, strict=True))
-    simulation = Simulation(bench, coefficients, variant=run.variant, threads=run.threads)
-    result = collect(simulation, run=run, what=name)
-    if result.interrupted:
-        raise KeyboardInterrupt  # one point cut short is no table
-    return result
 
 
 def _values_as_in(file: SceneFile, name: str, values: Sequence[Value]) -> tuple[Value, ...]:

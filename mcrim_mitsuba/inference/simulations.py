@@ -52,6 +52,7 @@ from mcrim_mitsuba.scene.spectrophotometer import (
     spectrophotometer_of,
     too_wide,
 )
+from mcrim_mitsuba.transport.variants import versions
 
 #: What scenes call a crystal's length, and its width.
 CRYSTAL_LENGTHS = (HEIGHT, "crystal_length_mm")
@@ -496,8 +497,6 @@ class CampaignSimulations:
 
     def provenance(self) -> Provenance:
         """What was spent so far."""
-        from mcrim_mitsuba.transport.variants import versions
-
         of_caches = [note for schedule in self._schedules for note in schedule.notes]
         of_caches += self.maker.notes
         return Provenance(

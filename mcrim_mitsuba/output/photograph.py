@@ -31,7 +31,7 @@ from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output.cross_section import SectionAxes, closer_view, heading
 from mcrim_mitsuba.output.figure_style import shortened
-from mcrim_mitsuba.scene.check_text import is_filled
+from mcrim_mitsuba.scene.check_text import Interface, is_filled
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
 from mcrim_mitsuba.transport.cut import cross_section
@@ -45,9 +45,9 @@ from mcrim_mitsuba.transport.photograph_parts import (
     framed,
     raised,
 )
+from mcrim_mitsuba.transport.variants import versions
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.scene.check_text import Interface
     from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Pixels of the sheet.
@@ -345,7 +345,6 @@ def render(
         problem = f"the variant {run.variant!r} makes no pictures in colour"
         raise InputError(problem, f"use {' or '.join(VARIANTS)}")
     from mcrim_mitsuba.transport.simulation import Simulation
-    from mcrim_mitsuba.transport.variants import versions
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
     file, model = simulation.file, simulation.model

@@ -36,12 +36,15 @@ from mcrim_mitsuba.inference.repair import (
     scene_text,
 )
 from mcrim_mitsuba.output import photograph
+from mcrim_mitsuba.output.cross_section import cross_section_figure
 from mcrim_mitsuba.output.registry import encoded, fields_of
 from mcrim_mitsuba.output.sentences import errors_apart, headline, leading_candidates
 from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.cache_files import Chunk
 from mcrim_mitsuba.scene.check_text import CheckReport
 from mcrim_mitsuba.scene.scene_file import DefaultParameter, SceneFile
+from mcrim_mitsuba.transport.check import check_simulation, interfaces_of
+from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Configurations whose light is followed.
 MOST_LIGHTS = 4
@@ -191,10 +194,6 @@ def _behind_pictures(
 
 def _drawn(scene: SceneFile, proposal: NextMeasurement, run: Run) -> Figure:
     """The bench of a proposed reading."""
-    from mcrim_mitsuba.output.cross_section import cross_section_figure
-    from mcrim_mitsuba.transport.check import interfaces_of
-    from mcrim_mitsuba.transport.simulation import Simulation
-
     simulation = Simulation(scene, proposal.parameters, variant=run.variant, threads=run.threads)
     interfaces = interfaces_of(simulation.file, simulation.model)
     return cross_section_figure(simulation, interfaces, brief=True)
@@ -204,8 +203,6 @@ def _lights(
     couplings: Sequence[Reading], scene: SceneFile, run: Run, stage: Stage
 ) -> tuple[tuple[str, Light], ...]:
     """Where the light of each coupling goes, by the label of a reading."""
-    from mcrim_mitsuba.transport.simulation import Simulation
-
     lights, run = [], replace(run, photons=LIGHT_PHOTONS, progress=None)
     for reading in couplings:
         stage("where the light goes")
@@ -445,10 +442,6 @@ def describe(
 
     Raises InputError if the scene is not sound.
     """
-    from mcrim_mitsuba.output.cross_section import cross_section_figure
-    from mcrim_mitsuba.transport.check import check_simulation
-    from mcrim_mitsuba.transport.simulation import Simulation
-
     drawn = scene.with_overrides(reading.parameters)
     simulation = Simulation(drawn, variant=run.variant, threads=run.threads, check=False)
     report = check_simulation(simulation, light=False)

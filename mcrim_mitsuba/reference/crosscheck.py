@@ -16,10 +16,10 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.noise_free import bench_of
 from mcrim_mitsuba.efficiency.polished_box import BoxEfficiency, solve_box
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.transport.simulation import Simulation, SimulationResult
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.reference.tracer import TracerResult
-    from mcrim_mitsuba.transport.simulation import Simulation, SimulationResult
 
 #: A fate that fewer photons of the tracer met than this has no normal distribution yet.
 FEWEST_COUNTS = 25
@@ -83,7 +83,6 @@ def crosscheck(
     """
     from mcrim_mitsuba.reference.scene_bench import read_bench
     from mcrim_mitsuba.reference.tracer import trace
-    from mcrim_mitsuba.transport.simulation import Simulation
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
     bench, photons = read_bench(simulation.file), run.photons_or(1_000_000)

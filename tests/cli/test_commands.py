@@ -17,7 +17,7 @@ from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.cli.main import mcrim as command_line
 from mcrim_mitsuba.core.numbers import said
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference import calibrate as campaigns
+from mcrim_mitsuba.inference import simulations as campaigns
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.transport.launch_plan import LANES
 
