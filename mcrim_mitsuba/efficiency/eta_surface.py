@@ -294,13 +294,8 @@ class EtaRun:
         return sum(self._photons_of)
 
     @property
-    def surface(self) -> EtaSurface:
-        """Of all photons so far, for the first cut; ValueError if there are none."""
-        return self.surfaces[0]
-
-    @property
     def surfaces(self) -> list[EtaSurface]:
-        """One for each cut; ValueError as for `surface`."""
+        """Of all photons so far, one for each cut; ValueError if there are none."""
         if not self._tables:
             raise ValueError("nothing was simulated yet")
         whole = merged(self._tables, self._photons_of)
@@ -387,7 +382,7 @@ def record_surfaces(requests: Sequence[EtaRequest]) -> list[tuple[EtaSurface, Et
         if not lacking:
             break
         _extend(lacking)
-    return [(run.surface, run) for run in runs]
+    return [(run.surfaces[0], run) for run in runs]
 
 
 def _extend(goals: Sequence[tuple[EtaRun, int]], *, by_all: bool = False) -> None:
