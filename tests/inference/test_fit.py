@@ -656,13 +656,7 @@ def test_a_bound_that_stops_the_fit_is_named(campaign):
     )
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "says"),
-    [
-        (0.3, 0.30000001, "max = 0.3; the readings ask for more"),
-        (2.0, 2.00000001, "min = 2; the readings ask for less"),
-    ],
-)
+@cases("low", "high", "says")
 def test_of_bounds_that_touch_that_one_stops_to_which_the_readings_push(campaign, low, high, says):
     text = ALPHA.replace("max = 10.0", f"max = {high}").replace("min = 0.01", f"min = {low}")
     text = text.replace("start = 0.5", f"start = {low}")
