@@ -10,14 +10,18 @@ Files of one kind at a time; what is no result of mcrim is refused in one line.
 from __future__ import annotations
 
 import json
+import math
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
+import pandas
+import xarray
 
 from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError, visible
@@ -32,9 +36,8 @@ from mcrim_mitsuba.output.codec import (
     AT_BOUND,
     DIAGNOSIS,
     ENDINGS,
-    ETA_TABLE,
     HYPOTHESES,
-    MEND,
+    READERS,
     RESULT,
     SIGMA,
     SIMULATION,
@@ -42,17 +45,128 @@ from mcrim_mitsuba.output.codec import (
     Part,
     ResultTable,
     Row,
+    Rows,
     columns_of,
     csv_lines,
-    dataset,
-    impossible,
     joined,
     netcdf_bytes,
     read_document,
-    without_repeated,
 )
+from mcrim_mitsuba.output.codec import dataset as dataset_of
 
 _LIMIT_MB = 200
+#: Whole numbers beyond are nobody's result, and no float can hold the largest that JSON may have.
+_LARGEST_WHOLE = 2**63
+#: By which an interpolated part of the light may leave 0 to 1.
+_ROUNDING = 1e-3
+MEND = "give what --json of calibrate, compare, diagnose, report, simulate or table wrote"
+#: What tables are of besides those of `codec`: a row is a point.
+ETA_TABLE = "eta table"
+# a column's name: what NetCDF and CSV can hold
+_NAME = re.compile(r"[^\W\d][^\x00-\x1f/\"]*")
+#: Entries that are no numbers.
+_TEXTS = ("label", "name", "verdict", "effect", "at_bound")
+_FLAGS = ("use", "plausible")
+
+
+def impossible(name: str, value: float) -> str:
+    """What is wrong with a number of this name that no result has; empty where nothing is."""
+    if name.endswith("sigma") and value < 0:
+        return "a negative error"
+    if name == "eta" and not -_ROUNDING <= value <= 1 + _ROUNDING:
+        return "no fraction of the light"
+    if name in ("p_value", "p_global", "probability") and not 0 <= value <= 1:
+        return "no probability"
+    return "below 0" if name in ("chi2", "photons") and value < 0 else ""
+
+
+class CheckedObject(JsonObject):
+    """An object of a JSON file; `place` says where in it, for messages.
+
+    What it is asked for and holds as something else is an `InputError`.
+    """
+
+    def __init__(self, path: Path, content: dict[str, Any], place: str = "") -> None:
+        super().__init__(content)
+        self.path, self._place = path, place
+
+    def cell(self, name: str) -> Any:
+        """A finite number, a text or a flag; None for null and for what is not there."""
+        value, problem = self.content.get(name), ""
+        if value is None:
+            return None
+        if name in _TEXTS:
+            problem = "" if isinstance(value, str) else "not a text"
+        elif name in _FLAGS:
+            problem = "" if isinstance(value, bool) else "neither true nor false"
+        elif isinstance(value, bool) or not isinstance(value, int | float):
+            problem = "not a number"
+        elif isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
+            problem = "a whole number of more than 64 bits"
+        elif not math.isfinite(value):
+            problem = "not finite"
+        else:
+            problem = impossible(name, value)
+        if problem:
+            raise self.refusal(name, problem)
+        return value
+
+    def estimate(self, name: str) -> Row:
+        """A fitted parameter as columns, which must have a value."""
+        row = super().estimate(name)
+        if row[name] is None:
+            raise self.refusal(name, "it has no value")
+        return row
+
+    def object(self, name: str) -> JsonObject:
+        """An object in this one; an empty one where there is none."""
+        value = self.content.get(name, {})
+        if not isinstance(value, dict):
+            raise self.refusal(name, "not an object")
+        for key in value:
+            if not _NAME.fullmatch(key):
+                raise self.refusal(name, f"the name {key[:40]!r} cannot be a column")
+        return CheckedObject(self.path, value, self._at(name))
+
+    def objects(self, name: str) -> Iterator[JsonObject]:
+        """Objects of a list in this one; none where there is no list."""
+        items = self.content.get(name, [])
+        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
+            raise self.refusal(name, "not a list of objects")
+        for place, item in enumerate(items):
+            yield CheckedObject(self.path, item, f"{self._at(name)}[{place}]")
+
+    def refusal(self, name: str, problem: str) -> InputError:
+        """The error that says what is wrong with the entry `name`."""
+        return InputError(f"{self._at(name)}: {problem}", MEND, path=self.path)
+
+    def _at(self, name: str) -> str:
+        return f"{self._place}.{name}" if self._place else name
+
+
+def _not_a_result(path: Path) -> InputError:
+    """JSON of another program, or of a command without a result in numbers."""
+    return InputError("JSON, but no result of mcrim that can be converted", MEND, path=path)
+
+
+def kind_of(content: Mapping[str, Any]) -> str:
+    """The `kind` of a document, if it is one that tables are made of; else empty.
+
+    Documents of the version before `kind` are read for one release, by what only such a result
+    has; this goes with the next.
+    """
+    if "kind" in content:
+        return next((kind for kind in (*READERS, "table") if kind == content["kind"]), "")
+    there = {name for name, value in content.items() if value is not None}
+    by_keys = (
+        ("repair", {"calibration"}),
+        ("diagnosis", {"verdict", "candidates", "baseline"}),
+        ("hypotheses", {"hypotheses", "leading"}),
+        ("fit", {"chi2", "parameters", "rows"}),
+        ("simulation", {"eta", "budget"}),
+        ("table", {"rows", "scene_hash"}),
+    )
+    return next((kind for kind, keys in by_keys if keys <= there), "")
 
 
 def read_results(paths: Sequence[str | Path]) -> ResultTable:
@@ -86,7 +200,7 @@ def read_results(paths: Sequence[str | Path]) -> ResultTable:
     return joined(first, parts)
 
 
-def read_json(path: Path) -> JsonObject:
+def read_json(path: Path) -> CheckedObject:
     """Read a file that holds one JSON object.
 
     Raises
@@ -108,7 +222,7 @@ def read_json(path: Path) -> JsonObject:
         raise InputError("JSON that is nested too deeply or too long", MEND, path=path) from None
     if not isinstance(content, dict):
         raise InputError("JSON, but not of a result", MEND, path=path)
-    return JsonObject(path, content)
+    return CheckedObject(path, content)
 
 
 def _short_names(files: Sequence[Path]) -> list[str]:
@@ -126,7 +240,31 @@ def _read(path: Path) -> tuple[str, Part]:
     if path.suffix.lower() != ".json":
         problem = f"a result ends in .json or .csv, not in {path.suffix or 'nothing'}"
         raise InputError(problem, "give the file that --json or table -o wrote", path=path)
-    return read_document(read_json(path))
+    document = read_json(path)
+    if not (kind := kind_of(document.content)):
+        raise _not_a_result(path)
+    document.content["kind"] = kind
+
+    def table_of_json(document: JsonObject) -> Rows:
+        rows = [point.row(*COLUMNS) for point in document.objects("rows")]
+        if any(None in row.values() for row in rows):
+            raise _not_a_result(path)
+        return without_repeated(rows, path), []
+
+    return read_document(document, READERS | {"table": (ETA_TABLE, table_of_json)})
+
+
+def without_repeated(rows: list[Row], path: Path) -> list[Row]:
+    """Rows without those that say the same again."""
+    points: dict[tuple, Row] = {}
+    for row in rows:
+        point = tuple(row[name] for name in COLUMNS[:3])
+        if points.setdefault(point, row) != row:
+            where = ", ".join(f"{n} = {v:g}" for n, v in zip(COLUMNS, point, strict=False))
+            raise InputError(f"two values of eta at {where}", "keep one", path=path)
+    if not points:
+        raise InputError("a table without rows", "give one with rows", path=path)
+    return list(points.values())
 
 
 def _table_of_csv(path: Path) -> Part:
@@ -157,6 +295,25 @@ def _table_of_csv(path: Path) -> Part:
                 raise InputError(f"{name} = {cell}: {problem}", MEND, **at)
         rows.append(row)
     return without_repeated(rows, path), [], provenance
+
+
+# ---------------------------------------------------------------- xarray
+
+
+def dataset(table: ResultTable) -> xarray.Dataset:
+    """Results as a dataset, as `codec.dataset` has them.
+
+    Of eta tables: eta and eta_sigma over (n_gap, alpha_abs_per_cm, alpha_scat_per_cm), with
+    `result` before them where there is more than one table; points that a table does not have are
+    NaN.
+    """
+    if table.kind != ETA_TABLE:
+        return dataset_of(table)
+    names = list(table.provenance)
+    frame = pandas.DataFrame(table.rows).astype(dict.fromkeys(COLUMNS, float))
+    grid = frame.set_index([RESULT, *COLUMNS[:3]])[["eta", "eta_sigma"]].to_xarray()
+    grid = grid.reindex({RESULT: names}).assign_coords({RESULT: np.array(names)})
+    return dataset_of(table, grid.isel({RESULT: 0}, drop=True) if len(names) == 1 else grid)
 
 
 # ---------------------------------------------------------------- LaTeX

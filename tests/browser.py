@@ -16,18 +16,10 @@ SCREENSHOTS = "MCRIM_SCREENSHOTS"
 LONGEST_WAIT_S = 60
 #: Root has no sandbox.
 _FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-dev-shm-usage",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--no-proxy-server",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-features=HttpsUpgrades",
-)
+    "--headless=new --no-sandbox --disable-dev-shm-usage --disable-gpu --disable-quic "
+    "--no-first-run --no-proxy-server --disable-background-networking --disable-component-update "
+    "--disable-sync --disable-features=HttpsUpgrades"
+).split()
 
 
 class Browser:

@@ -127,33 +127,12 @@ def kept_records(shared_cache):
 #: Files that take a minute or more: begun last, one would go on when nobody else has work. Those
 #: that share a cache with `test_app` come when it is done: side by side all would simulate.
 LONGEST = (
-    "test_app",
-    "test_docs",
-    "test_golden",
-    "test_page",
-    "test_every_campaign",
-    "test_hidden_effects",
-    "test_wheel",
-    "test_calibrate",
-    "test_session",
-    "test_effect_responses",
-    "test_kernel_effects",
-    "test_validate",
-    "test_work",
-    "test_records",
-    "test_render",
-    "test_eta_spectrum",
-    "test_plugins",
-    "test_rival_causes",
-    "test_tracer_effects",
-    "test_types",
-    "test_commands",
-    "test_closure",
-    "test_cross_section",
-    "test_cluster_scripts",
-    "test_trials",
-    "test_article",
-)
+    "test_app test_docs test_golden test_page test_every_campaign test_hidden_effects "
+    "test_wheel test_calibrate test_session test_effect_responses test_kernel_effects "
+    "test_validate test_work test_records test_render test_eta_spectrum test_plugins "
+    "test_rival_causes test_tracer_effects test_types test_commands test_closure "
+    "test_cross_section test_cluster_scripts test_trials test_article"
+).split()
 
 
 class TurnedFolder(pytest.Dir):

@@ -18,12 +18,12 @@ from scipy.optimize import brentq
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.published import ArticleRow, compare
-from mcrim_mitsuba.article.simulated import simulate_bench
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.efficiency.simulate import collect_whole
 from mcrim_mitsuba.inference.diagnose import Diagnosis, diagnose
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.fit import Calibration
@@ -97,7 +97,7 @@ def find_contradiction(run: Run) -> Contradiction:
         "forward, gel": (forward, {"n_gap": p.N_GEL.value}),
     }
     of_one = replace(run, photons=_SINGLE_PHOTONS)
-    etas = {what: simulate_bench(*of, what, of_one).eta for what, of in benches.items()}
+    etas = {what: collect_whole(*of, what, of_one).eta for what, of in benches.items()}
     ground = [name for name in campaign.catalogue if name.split("_")[0] == "ground"]
     diagnosis = diagnose(CampaignSimulations(campaign, run), without=ground)
     return Contradiction(diagnosis, ignorant.fit(), etas)

@@ -7,7 +7,6 @@ without it as well.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,12 +22,12 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, record_surfaces
 from mcrim_mitsuba.efficiency.responses import Responses, stack
-from mcrim_mitsuba.efficiency.simulate import collect
+from mcrim_mitsuba.efficiency.simulate import collect_whole
 from mcrim_mitsuba.inference.corrections import Quantities, at, fitted
 from mcrim_mitsuba.inference.estimates import ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
-from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.transport.simulation import SimulationResult
 
@@ -157,20 +156,22 @@ def simulate_article(*, run: Run = Run()) -> Simulated:
     run = replace(run, photons=round(_SINGLE_SHARE * photons), precision=None)
     clear = {ALPHA_SCAT: 0.0, ALPHA_ABS: 0.0, "n_gap": 1.0}
     polarised = {"polarization": True}
-    bare, wrapped = {}, {}
+    bare, wrapped, thin = {}, {}, scene_path(_THIN)
     for n in (p.N_CRYSTAL.value, p.N_CRYSTAL.value / p.N_GEL.value):
         what = f"bare crystal, n = {n:.4g}"
-        bare[n] = simulate_bench(BENCH, {**clear, "n_crystal": n}, what, run, _BARE_MAX_DEPTH)
+        bare[n] = collect_whole(
+            scene_path(BENCH), {**clear, "n_crystal": n}, what, run, _BARE_MAX_DEPTH
+        )
     for reflectance in WRAP_REFLECTANCES:
         film = {**polarised, "wrap_reflectance": reflectance}
         what = f"wrapped cube, reflectance {reflectance:g}"
-        wrapped[reflectance] = simulate_bench(_WRAPPED, film, what, run)
+        wrapped[reflectance] = collect_whole(scene_path(_WRAPPED), film, what, run)
     return Simulated(
         couplings=couplings,
         bare=bare,
-        thin=simulate_bench(_THIN, polarised, "thin sample", run),
-        thin_clear=simulate_bench(_THIN, {**polarised, ALPHA_ABS: 0.0}, "thin sample, clear", run),
-        cawo4=simulate_bench(_CAWO4, polarised, "CaWO4", run),
+        thin=collect_whole(thin, polarised, "thin sample", run),
+        thin_clear=collect_whole(thin, {**polarised, ALPHA_ABS: 0.0}, "thin sample, clear", run),
+        cawo4=collect_whole(scene_path(_CAWO4), polarised, "CaWO4", run),
         wrapped=wrapped,
         parameters=dict(read_scene(scene_path(BENCH)).parameters),
     )
@@ -193,24 +194,6 @@ def _couplings(run: Run) -> dict[bool, Couplings]:
         polarised: Couplings(polarised, Responses(grid, grid, *stack(pair)))
         for polarised, pair in ((True, tables[:2]), (False, tables[2:]))
     }
-
-
-def simulate_bench(
-    scene: str | SceneFile,
-    overrides: Mapping[str, Value],
-    what: str,
-    run: Run,
-    max_depth: int | None = None,
-) -> SimulationResult:
-    """A bench of its own, shipped by its name; KeyboardInterrupt if the user interrupts."""
-    from mcrim_mitsuba.transport.simulation import Simulation
-
-    file = scene_path(scene) if isinstance(scene, str) else scene
-    simulation = Simulation(file, overrides, variant=run.variant, threads=run.threads)
-    result = collect(simulation, run=run, what=what, max_depth=max_depth)
-    if result.interrupted:
-        raise KeyboardInterrupt
-    return result
 
 
 # Table 1, and the curves of Figs. 3 and 4.

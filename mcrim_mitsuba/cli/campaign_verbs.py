@@ -14,6 +14,7 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import option
 from mcrim_mitsuba.cli.terminal import console
 from mcrim_mitsuba.core.files import refuse_to_replace
+from mcrim_mitsuba.output.description import rich_tables
 
 
 @click.command(short_help="Reduce a campaign's raw data, every step with its errors.")
@@ -216,7 +217,6 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
     from mcrim_mitsuba.inference.diagnose import PARTS
     from mcrim_mitsuba.inference.repair import refuse_others_work
     from mcrim_mitsuba.output import describe_campaign
-    from mcrim_mitsuba.output.description import rich_tables
 
     scene = Path(path).parent / f"{Path(path).stem}.xml"
     written = {"--output": (path, (".toml",)), "the scene of --output": (str(scene), (".xml",))}

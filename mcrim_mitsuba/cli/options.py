@@ -34,6 +34,7 @@ from mcrim_mitsuba.runs.array_job import (
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.executors import Executor, current_executor, use_executor
 from mcrim_mitsuba.scene.scene_file import parse_define
+from mcrim_mitsuba.transport.variants import refuse_unusable
 
 LARGEST_SEED = 2**63 - 1
 _THOUSANDS = re.compile(r"\d{1,3}(,\d{3})+")
@@ -334,8 +335,6 @@ def _read_threads(ctx, param, value) -> int | None:
 
 def _read_variant(ctx, param, value) -> str:
     """A variant that can be used here, as a callback of click: refused before all else."""
-    from mcrim_mitsuba.transport.variants import refuse_unusable
-
     refuse_unusable(value)
     return value
 

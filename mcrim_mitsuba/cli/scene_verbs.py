@@ -21,6 +21,8 @@ from mcrim_mitsuba.core.files import READS, STDOUT, collected, write_bytes, writ
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, COUNTED
 from mcrim_mitsuba.output import describe_scene
 from mcrim_mitsuba.output.registry import VerbResult
+from mcrim_mitsuba.scene.shipped import copy_scenes, scene_files, scenes_folder
+from mcrim_mitsuba.scene.values import parse_list, refuse_many_points, told_of_comma
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 
@@ -28,8 +30,6 @@ from mcrim_mitsuba.transport.launch_plan import LANES
 @options.folder("Copy all of them there, to be edited; replaces nothing.")
 def scenes(folder) -> None:
     """List the scenes, campaigns and measurements that come with the package, or copy them."""
-    from mcrim_mitsuba.scene.shipped import copy_scenes, scene_files, scenes_folder
-
     if folder is None:
         click.echo(f"in {scenes_folder()}:")
         for name in scene_files():
@@ -282,8 +282,6 @@ def read_axes(
 
     Raises InputError if none is given, or one is no list of numbers.
     """
-    from mcrim_mitsuba.scene.values import parse_list, told_of_comma
-
     typed = [(f"--axis {name}", name, text) for name, text in (more or {}).items()]
     typed += [(AXES[name][0], name, text) for name in AXES if (text := given[name]) is not None]
     if not typed:
@@ -318,8 +316,6 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **lists
 
     Parameters that no list is given for keep the scene's values.
     """
-    from mcrim_mitsuba.scene.values import refuse_many_points
-
     for name, (flag, _) in AXES.items():
         if name in axes:
             raise InputError(f"--axis {name} has an option of its own", f"give {flag} only")

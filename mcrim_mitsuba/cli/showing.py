@@ -13,6 +13,7 @@ import click
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.terminal import Screen
+from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.output.description import Description
 from mcrim_mitsuba.output.registry import Result
 from mcrim_mitsuba.runs.array_job import MergingExecutor, UnitFolder
@@ -93,8 +94,6 @@ def refuse_places(
 
     Raises InputError before any work is done.
     """
-    from mcrim_mitsuba.core.files import refuse_outputs
-
     context = click.get_current_context()
     typed = ((read,) if isinstance(read, (str, Path)) else read.files for read in inputs)
     files = context.meta.setdefault(options.FILES, [])

@@ -196,18 +196,12 @@ def averaged(table: EtaGrid, grid: Grid, colours: Colours) -> EtaGrid:
 
 
 def difference(changed: EtaGrid, plain: EtaGrid, known: EtaGrid) -> EtaGrid:
-    """What an effect adds to log(eta).
+    """What an effect adds to log(eta), by photons `changed` by it and `plain`, of the same numbers.
 
-    What photons without the effect are off by, those with it are mostly off by, too. It is taken
-    away as far as the two go together in batches (a control variate: J. M. Hammersley and
-    D. C. Handscomb, Monte Carlo Methods, Methuen 1964, chapter 5).
-
-    Parameters
-    ----------
-    changed, plain : EtaGrid
-        Photons with the effect and without, of the same random numbers.
-    known : EtaGrid
-        Eta without the effect, of more photons or by a closed form.
+    `known` is eta without the effect, of more photons or by a closed form. What photons without the
+    effect are off by, those with it are mostly off by, too. It is taken away as far as the two go
+    together in batches (a control variate: J. M. Hammersley and D. C. Handscomb, Monte Carlo
+    Methods, Methuen 1964, chapter 5).
     """
     with_it = changed.deviations - known.deviations
     without = plain.deviations - known.deviations

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,11 +81,6 @@ class EtaSurface:
         ]
         return cls(grid, merged(tables, [launch.photons for launch in records]))
 
-    @property
-    def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
-        """Range of alpha_scat in which the surface may be asked."""
-        return self.grid.alpha_scat_range_per_cm
-
     def evaluate(
         self,
         alpha_scat_per_cm: float,
@@ -130,13 +125,6 @@ class EtaSurface:
             return self.evaluate(*point)
         except InputError:
             return None
-
-    def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
-        """Monte Carlo covariance of eta at two points, each a value for every parameter."""
-        points = [(point[ALPHA_SCAT], point[ALPHA_ABS]) for point in (first, second)]
-        batches = self.batches(points)
-        products = np.prod(batches - batches.mean(axis=0), axis=1)
-        return float(products.sum()) / (len(batches) * (len(batches) - 1))
 
     def etas(self, points: Sequence[Coefficients]) -> NDArray[np.float64]:
         """(points,) eta, unchecked."""
@@ -306,13 +294,8 @@ class EtaRun:
         return sum(self._photons_of)
 
     @property
-    def surface(self) -> EtaSurface:
-        """Of all photons so far, for the first cut; ValueError if there are none."""
-        return self.surfaces[0]
-
-    @property
     def surfaces(self) -> list[EtaSurface]:
-        """One for each cut; ValueError as for `surface`."""
+        """Of all photons so far, one for each cut; ValueError if there are none."""
         if not self._tables:
             raise ValueError("nothing was simulated yet")
         whole = merged(self._tables, self._photons_of)
@@ -377,27 +360,13 @@ class EtaRun:
 
 
 def record_surface(
-    scene: SceneFile,
-    points: Sequence[Coefficients],
-    *,
-    run: Run,
-    alpha_scat_range_per_cm: tuple[float, float] | None = None,
-    alpha_abs_range_per_cm: tuple[float, float] | None = None,
+    scene: SceneFile, points: Sequence[Coefficients], *, run: Run, **further: Any
 ) -> tuple[EtaSurface, EtaRun]:
-    """One simulation that answers all points.
+    """One simulation that answers all points; `further` fields are those of an `EtaRequest`.
 
-    Parameters
-    ----------
-    scene, points, run, alpha_scat_range_per_cm, alpha_abs_range_per_cm
-        See `EtaRequest`.
-
-    Raises
-    ------
-    InputError
-        If the scene is not sound, leaks, or keeps more light than records may miss.
+    Raises InputError if the scene is not sound, leaks, or keeps more light than records may miss.
     """
-    ranges = alpha_scat_range_per_cm, alpha_abs_range_per_cm
-    return record_surfaces([EtaRequest("simulation", scene, points, run, *ranges)])[0]
+    return record_surfaces([EtaRequest("simulation", scene, points, run, **further)])[0]
 
 
 def record_surfaces(requests: Sequence[EtaRequest]) -> list[tuple[EtaSurface, EtaRun]]:
@@ -413,7 +382,7 @@ def record_surfaces(requests: Sequence[EtaRequest]) -> list[tuple[EtaSurface, Et
         if not lacking:
             break
         _extend(lacking)
-    return [(run.surface, run) for run in runs]
+    return [(run.surfaces[0], run) for run in runs]
 
 
 def _extend(goals: Sequence[tuple[EtaRun, int]], *, by_all: bool = False) -> None:

@@ -406,10 +406,8 @@ def all_spreads(
 ) -> tuple[Spread, ...]:
     """Spreads of gammas that stop everywhere, near a face, and as a file says, if it is named.
 
-    Raises InputError if the depth is not above 0, and as `EtaMap.of_deposits`.
+    Raises InputError as `EtaMap.of_deposits`.
     """
-    if not depth_mm > 0.0:
-        raise InputError(f"depth_mm = {depth_mm:g} is no depth", "give one above 0")
     spreads = mapped.spreads(depth_mm)
     return spreads if deposits is None else (*spreads, mapped.of_deposits(deposits))
 

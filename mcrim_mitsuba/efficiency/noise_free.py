@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,10 +24,7 @@ from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.transport.scene_model import DETECTOR, FlatFace, RoundWall, SceneModel
-from mcrim_mitsuba.transport.simulation import SimulationResult, calibration_notes
-
-if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.simulation import Simulation, SimulationResult, calibration_notes
 
 #: Ways to eta.
 METHODS = ("photons", "modes")
@@ -41,12 +38,7 @@ NOTE = (
 
 
 def refuse_method(method: str, run: Run) -> None:
-    """Refuse a method that there is not, and photons for one that follows none.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse (InputError) a method that there is not, and photons for one that follows none."""
     if method not in METHODS:
         raise InputError(f"there is no method {method}", f"take {' or '.join(METHODS)}")
     if method == "modes" and run.photons is not None:
@@ -131,8 +123,6 @@ def solve_benches(
 
     Raises InputError if a scene is not sound, or a bench is not one that the solver knows.
     """
-    from mcrim_mitsuba.transport.simulation import Simulation
-
     etas = []
     for number, file in enumerate(benches):
         run.tell(_WHAT, number, len(benches))
@@ -178,8 +168,6 @@ def _refuse_other_benches(simulation: Simulation) -> None:
     The shipped scene, with effects as `add` puts them there, is what the parameters mean. An
     effect without a parameter is in none of them: what it does shows in the scene.
     """
-    from mcrim_mitsuba.transport.simulation import Simulation
-
     parameters = simulation.file.parameters
     name = "camoo4.xml"
     scene = read_scene(scene_path(name))

@@ -349,17 +349,11 @@ def solve_box(
 ) -> BoxEfficiency:
     """Light collection of a polished box, without statistical noise.
 
-    Method and limits: docs/theory.md, "Without photons".
+    Method and limits: docs/theory.md, "Without photons". Coefficients, arrays that broadcast, are
+    the bench's own if not given. `precision` is a relative error of eta that is enough: where fewer
+    nodes are estimated to reach it, they do the work; None: as good as it gets.
 
     Raises InputError if the bench has what the method does not know, or a coefficient is negative.
-
-    Parameters
-    ----------
-    alpha_scat_per_cm, alpha_abs_per_cm : array_like, optional
-        Pairs of coefficients, which broadcast; the bench's own if not given.
-    precision : float, optional
-        Relative error of eta that is enough: where fewer nodes are estimated to reach it, they do
-        the work. None: as good as it gets.
     """
     refuse_other_boxes(bench)
     scat = bench.alpha_scat_per_cm if alpha_scat_per_cm is None else alpha_scat_per_cm
@@ -565,13 +559,7 @@ def _solved(
 
 
 def refuse_other_boxes(bench: Bench) -> None:
-    """Refuse what the solver does not know, in one line.
-
-    Raises
-    ------
-    InputError
-        Names the parameter and the mend.
-    """
+    """Refuse what the solver does not know: InputError names the parameter and the mend."""
     mend = "leave it out, or simulate photons"
     for name in ("polarization", "gap_absorption_per_cm"):
         if getattr(bench, name):

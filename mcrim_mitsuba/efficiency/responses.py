@@ -231,23 +231,12 @@ def held_at(
 ) -> EffectResponse:
     """An effect held at a value, or at a value for each part of the light: one that is on or off.
 
-    Over several values eta itself is averaged, not its logarithm: photons of every value are
-    counted.
+    Values, (values,), are of its one parameter, as the scene takes it (an index, not its offset);
+    `parts`, (values,), of the light, none negative: their sum need not be 1. Over several values
+    eta itself is averaged, not its logarithm: photons of every value are counted.
 
-    Parameters
-    ----------
-    response : EffectResponse
-        With one parameter.
-    values : (values,) array_like
-        Of the parameter, as the scene takes it (an index, not its offset).
-    parts : (values,) array_like
-        Of the light, none negative; their sum need not be 1.
-
-    Raises
-    ------
-    ValueError
-        If the response has not one parameter, or one of several values is beyond its outermost
-        nodes.
+    Raises ValueError if the response has not one parameter, or one of several values is beyond its
+    outermost nodes.
     """
     if len(response.axes) != 1:
         raise ValueError(f"an effect of {len(response.axes)} parameters held at a value of one")

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.runs.array_job import PartExecutor
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.executors import Content, Executor, Finished, Job, current_executor
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned, remember
+from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, FateTally
-from mcrim_mitsuba.transport.simulation import DEFAULT_PHOTONS, SimulationResult
-
-if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.simulation import Simulation
-
+from mcrim_mitsuba.transport.simulation import DEFAULT_PHOTONS, Simulation, SimulationResult
 
 #: What a chunk holds of a tally.
 _TALLY = ("photons", "batches", "sums", "squares")
@@ -86,6 +84,21 @@ def collect(
             max_depth=max_depth,
         )
     return _collect_in_units(simulation, photons, run, what, max_depth, tell)
+
+
+def collect_whole(
+    scene: Path | SceneFile,
+    overrides: Mapping[str, Value],
+    what: str,
+    run: Run,
+    max_depth: int | None = None,
+) -> SimulationResult:
+    """`collect` of a bench of its own; KeyboardInterrupt where it was cut short."""
+    simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
+    result = collect(simulation, run=run, what=what, max_depth=max_depth)
+    if result.interrupted:
+        raise KeyboardInterrupt
+    return result
 
 
 def _lacking(simulation: Simulation, photons: int, run: Run, max_depth: int) -> int:

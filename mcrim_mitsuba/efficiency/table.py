@@ -41,7 +41,7 @@ from mcrim_mitsuba.efficiency.eta_surface import (
     record_surfaces,
 )
 from mcrim_mitsuba.efficiency.proposals import SMALLEST_PER_CM
-from mcrim_mitsuba.efficiency.simulate import collect
+from mcrim_mitsuba.efficiency.simulate import collect_whole
 from mcrim_mitsuba.efficiency.surface import Coefficients
 from mcrim_mitsuba.scene.check_text import problems_of_counted
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
@@ -127,21 +127,13 @@ def eta_table(
     them out of the records; points that the photons say too little about are simulated on their
     own. What is asked for twice is simulated once.
 
-    Parameters
-    ----------
-    scene : str, Path or SceneFile
-    axes : mapping of str to sequence of values
-        By parameter of the scene; all others keep the scene's values.
-    run : Run
-        Its photons (2 million, with a precision as many as it takes) are those of a
-        configuration, and again of each point that is simulated on its own. Photon records round
-        them up to a multiple of `transport.launch_plan.LANES`. Its precision is that of every
-        point.
+    Axes are values by parameter of the scene; all others keep the scene's. The run's photons (2
+    million, with a precision as many as it takes) are those of a configuration, and again of each
+    point that is simulated on its own. Photon records round them up to a multiple of
+    `transport.launch_plan.LANES`. Its precision is that of every point.
 
-    Raises
-    ------
-    InputError
-        If the scene is not sound or lacks one of the parameters, or a value is out of range.
+    Raises InputError if the scene is not sound or lacks one of the parameters, or a value is out of
+    range.
     """
     file = read_scene(scene)
     grid = TableGrid.of(file, axes)
@@ -317,7 +309,8 @@ def _answer_all(
     notes = [note for behind in work for note in behind.notes]
     for (key, bench), point in itertools.product(benches.items(), points):
         if (key, point) not in answers:
-            result = _simulate(bench.scene, bench.name, point, run)
+            coefficients = dict(zip(COEFFICIENTS, point, strict=True))
+            result = collect_whole(bench.scene, coefficients, bench.name, run)
             answers[key, point] = _Answer(result.eta, result.eta_sigma, None)
             work.append(result)
             a_s, a_a = point
@@ -359,18 +352,6 @@ def _record(
     return surfaces, runs
 
 
-def _simulate(bench: SceneFile, name: str, point: Coefficients, run: Run) -> SimulationResult:
-    """One point alone."""
-    from mcrim_mitsuba.transport.simulation import Simulation
-
-    coefficients = dict(zip(COEFFICIENTS, point, strict=True))
-    simulation = Simulation(bench, coefficients, variant=run.variant, threads=run.threads)
-    result = collect(simulation, run=run, what=name)
-    if result.interrupted:
-        raise KeyboardInterrupt  # one point cut short is no table
-    return result
-
-
 def _values_as_in(file: SceneFile, name: str, values: Sequence[Value]) -> tuple[Value, ...]:
     """Values of the kind that the scene has: 1 is 1.0, where it has a length."""
     if isinstance(file.parameters[name], float):
@@ -383,12 +364,7 @@ def _value(name: str, value: object) -> float:
 
 
 def _refuse_axes(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
-    """Refuse axes that a scene has no parameters for, and values out of range.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse axes that a scene has no parameters for, and values out of range."""
     for name, values in ({ALPHA_ABS: [0.0], ALPHA_SCAT: [0.0]} | dict(axes)).items():
         if name not in file.parameters:
             usual = name in COLUMNS

@@ -2,13 +2,13 @@
 
 The path of a campaign, a module per step:
 
-- `simulations`: a campaign with what was simulated of its readings, from which models are made;
+- `simulations`: a campaign with what was simulated of its readings, from which models are made,
+  and its own fit (`calibrate`);
 - `model`: its readings as functions of the free parameters (`Model`, `ResponseModel`);
 - `statistic`: chi2 of a model's parameters; `drivers`: two ways to its minimum, MINUIT and the
   fast descent; `profiles` of it, from which intervals and limits are read;
 - `fit`: the fit of a model with all its errors (`Calibration`, `fit_model`); `estimates`: what a
   minimum says (`ParameterEstimate`, `FittedRow`, `LIGHT_YIELD`), and statistics of it;
-- `calibrate`: simulate, then fit (`calibrate`);
 - `compare`: where a model fails (`Comparison`, `find_suspects`, `find_trends`);
 - `screening`: which effects deserve more photons;
 - `explanations`: fits with effects added, and what chance gains; `candidates`: every

@@ -138,14 +138,9 @@ def weigh_sets(
 ) -> WeighedSets:
     """Weigh every set of up to three causes, or fewer; one less where there is something besides.
 
-    Parameters
-    ----------
-    z : (dimensions,) float64
-        The readings, whitened and freed of what the free parameters follow.
-    scale_variance : float
-        Of the logarithm of the scale in the baseline fit.
-    excluded : (causes, causes) bool
-        Which two cannot be there at the same time.
+    `z`, (dimensions,), are the readings, whitened and freed of what the free parameters follow;
+    `scale_variance` is that of the logarithm of the scale in the baseline fit; `excluded`, (causes,
+    causes), says which two cannot be there at the same time.
     """
     parts, strips = [], _Strips.of(causes, len(z))
     for place, around in enumerate(surroundings):
@@ -179,13 +174,9 @@ def weigh_singles(
     discrepancy: Discrepancy,
     scale_variance: float,
 ) -> tuple[Indices, Array, Array, Array]:
-    """The same of none or one cause, for many (draws, dimensions) readings at once.
+    """Weigh none or one cause as `weigh_sets` does, for many (draws, dimensions) readings at once.
 
-    Returns
-    -------
-    members : (sets,) int64
-        The cause; -1 for none.
-    log_weights, log_scales, variances : (draws, sets) float64
+    Returns the causes, (sets,), -1 for none; and log_weights, log_scales, variances, (draws, sets).
     """
     parts, strips = [], _Strips.of(causes, z.shape[1])
     for around in surroundings:

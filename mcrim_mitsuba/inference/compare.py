@@ -314,16 +314,13 @@ def suspected(fit: Minimum, wrong: WrongRows, chi2: float, pull: float | None = 
     """A suspicion that leaves a chi2 of a fit's."""
     unknowns, ways = _unknowns_and_ways(wrong.kind, len(fit.statistic.signal), len(wrong.labels))
     gain = fit.chi2 - chi2
-    if wrong.partners:
-        p = _chance(fit, wrong, gain)
-    else:
-        p = float(chdtrc(unknowns, max(gain, 0.0)))
+    p = _chance(fit, wrong, gain) if wrong.partners else float(chdtrc(unknowns, max(gain, 0.0)))
     ndf = fit.ndf - unknowns
     left = p_value(chi2, ndf)
     return Suspect(
         kind=wrong.kind,
         labels=wrong.labels,
-        delta_chi2=fit.chi2 - chi2,
+        delta_chi2=gain,
         p_gain=corrected(p, ways),
         chi2=chi2,
         ndf=ndf,

@@ -59,19 +59,13 @@ class Places:
 def places_of(
     campaign: Campaign, path: str | Path, depth_mm: float, deposits: str | Path | None = None
 ) -> Places:
-    """What the places do to the readings of the map's bench.
+    """What the places do to the readings of the bench of the map that ``simulate --map`` wrote.
+
+    `depth_mm` is the 1/e depth of gammas that stop near a face, deposits as of
+    `EtaMap.of_deposits`.
 
     Raises InputError if the file is no map, or one of another bench than every reading, or deposits
     are wrong.
-
-    Parameters
-    ----------
-    path : str or Path
-        Map that ``simulate --map`` wrote.
-    depth_mm : float
-        1/e depth of gammas that stop near a face.
-    deposits : str or Path, optional
-        See `EtaMap.of_deposits`.
     """
     mapped = read_map(path)
     scene = campaign.scene.parameters

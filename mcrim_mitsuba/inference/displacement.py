@@ -109,9 +109,7 @@ class Curve:
     ends: np.ndarray
     #: Absent at an end of its range.
     boundary: bool
-    #: How many the effect brings.
-    parameters: int
-    #: (points, parameters) Their values, that of the absence first.
+    #: (points, parameters) Values of the effect's parameters, that of the absence first.
     sizes: Array
     #: (points,) Logarithm of the scale over that of the fit.
     log_scales: Array
@@ -172,35 +170,26 @@ def curve_of(
     own = [statistic.index(n) for n in explanations.free_parameters(added, effect)]
     prior[own] = statistic.prior[own]
     ideal = statistic.against(frame.statistic.signal, prior)
-    if not own:  # on or off
-        theta, _, _ = newton(ideal, statistic.theta(centre), frame.fit.weights, steps=4)
-        point, log_scale = frame.displacement(statistic, theta), frame.log_scale(statistic, theta)
-        none = np.empty((1, 0))
-        return Curve(
-            point[None],
-            np.empty((0, 2), int),
-            False,
-            0,
-            sizes=none,
-            log_scales=np.array([log_scale]),
+    if own:
+        profile = explanations.profile(
+            added, effect, frame.fit, statistic=ideal, steps=4, precision=0.02
         )
-    profile = explanations.profile(
-        added, effect, frame.fit, statistic=ideal, steps=4, precision=0.02
-    )
-    thetas = [theta for _, theta in profile]
+        thetas = [theta for _, theta in profile]
+    else:  # on or off
+        thetas = [newton(ideal, statistic.theta(centre), frame.fit.weights, steps=4)[0]]
     points = np.array([frame.displacement(statistic, theta) for theta in thetas])
+    log_scales = np.array([frame.log_scale(statistic, theta) for theta in thetas])
+    if not own:
+        return Curve(points, np.empty((0, 2), int), False, np.empty((1, 0)), log_scales)
     absent = statistic.theta({**centre, **explanations.absent(effect)})
-    x = np.array([statistic.internal(theta)[own] for theta in [absent, *thetas]])
-    points = np.vstack([np.zeros(frame.dimensions), points])
+    thetas = [absent, *thetas]
     free = [statistic.free[i] for i in own]
-    boundary = not any(p.minimum < at < p.maximum for p, at in zip(free, absent[own], strict=True))
     return Curve(
-        points,
-        _neighbours(x),
-        boundary,
-        len(own),
-        sizes=np.array([theta[own] for theta in [absent, *thetas]]),
-        log_scales=np.array([0.0, *(frame.log_scale(statistic, theta) for theta in thetas)]),
+        np.vstack([np.zeros(frame.dimensions), points]),
+        _neighbours(np.array([statistic.internal(theta)[own] for theta in thetas])),
+        not any(p.minimum < at < p.maximum for p, at in zip(free, absent[own], strict=True)),
+        sizes=np.array([theta[own] for theta in thetas]),
+        log_scales=np.append(0.0, log_scales),
     )
 
 
@@ -228,20 +217,11 @@ def _neighbours(x: Array) -> np.ndarray:
 def cause_of(explanations: Explanations, effect: str, curve: Curve) -> Cause:
     """An effect as a cause: its prior in strips along its curve."""
     names = explanations.free_parameters((effect,), effect)
-    log_odds = explanations.log_odds((effect,))
-    if not names:
-        return Cause(
-            name=effect,
-            log_odds=log_odds,
-            log_weights=np.zeros(1),
-            origins=curve.points,
-            slopes=np.zeros_like(curve.points),
-            log_scales=curve.log_scales,
-            log_scale_slopes=np.zeros(1),
-        )
     densities = explanations.priors((effect,))
     moves = np.column_stack([curve.points, curve.log_scales])
-    if len(names) == 1:
+    if not names:
+        shares, middles, halves = np.ones(1), moves, np.zeros_like(moves)
+    elif len(names) == 1:
         (name,), parameters = names, explanations.effects[effect].parameters
         parameter = next(p for p in parameters if p.name == name)
         origin = parameter.origin(explanations.scene)
@@ -250,7 +230,7 @@ def cause_of(explanations: Explanations, effect: str, curve: Curve) -> Cause:
         shares, middles, halves = _cells([densities[name] for name in names], curve, moves)
     return Cause(
         name=effect,
-        log_odds=log_odds,
+        log_odds=explanations.log_odds((effect,)),
         log_weights=np.log(np.maximum(shares, 1e-300) / shares.sum()),
         origins=middles[:, :-1],
         slopes=halves[:, :-1],
@@ -341,8 +321,9 @@ class NullDistribution:
         the gain 2 z s - s^2 is Gaussian.
         """
         curve = self.curves[effect]
-        if curve.parameters == 0:
+        parameters = curve.sizes.shape[1]
+        if parameters == 0:
             size = max(float(np.linalg.norm(curve.points[0])), 1e-9)
             return float(ndtr(-(gain + size**2) / (2.0 * size)))
-        p = float(chdtrc(curve.parameters, max(gain, 0.0)))
+        p = float(chdtrc(parameters, max(gain, 0.0)))
         return 0.5 * p if curve.boundary and gain > 0 else p

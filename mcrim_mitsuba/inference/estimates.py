@@ -245,16 +245,10 @@ def corrected(p: float, tries: float) -> float:
 def left_out(fit: Minimum) -> tuple[Array, Array]:
     """How the fit to all other readings and priors predicts every reading.
 
-    Returns
-    -------
-    errors : (used,) float64
-        Reading minus its prediction by the others; infinite where they do not predict it.
-    pulls : (used,) float64
-        The same in its standard error, the prediction's included; its square is what chi2 falls
-        by where the reading is left out.
+    Given are (used,) errors, the reading minus its prediction by the others, infinite where they do
+    not predict it; and (used,) pulls, the same in its standard error, the prediction's included,
+    whose square is what chi2 falls by where the reading is left out.
 
-    Notes
-    -----
     Exact for a linear model with correlated errors and Gaussian priors: with P the inverse
     covariance of readings whose parameters are unknown (`Minimum.precision`) and r the residuals of
     the fit to all, the error is (C^-1 r)_i / P_ii and its variance 1 / P_ii (the PRESS residuals of

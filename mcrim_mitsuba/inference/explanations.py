@@ -262,10 +262,6 @@ class Explanations:
         names = self.free_parameters(added, effect)
         held = [statistic.index(name) for name in names]
         weights = self.baseline.weights
-        if not names:
-            start = statistic.theta(fewer.values)
-            theta, chi2, _ = newton(statistic, start, weights, steps=steps, precision=precision)
-            return [(chi2, theta)]
         nodes, absent = self.nodes(added, effect), self.absent(effect)
         order = list(range(len(nodes)))
         if single := len(names) == 1:
@@ -276,7 +272,7 @@ class Explanations:
         points: dict[int, tuple[float, Array]] = {}
         warm: dict[bool, dict[str, float]] = {}
         for i in order:
-            side = nodes[i][names[0]] > absent[names[0]]
+            side = single and nodes[i][names[0]] > absent[names[0]]
             start = statistic.theta({**warm.get(side, fewer.values), **nodes[i]})
             theta, chi2, _ = newton(
                 statistic, start, weights, held=held, steps=steps, precision=precision

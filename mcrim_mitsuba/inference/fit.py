@@ -129,14 +129,11 @@ class UndeterminedError(TooLittleSimulatedError):
 def fit_model(model: Model, *, profile: bool = True) -> Calibration:
     """Fit a model's readings; see `statistic` for what is minimised.
 
+    Intervals are found by profile likelihood; without `profile`, which is several times faster,
+    `lower` and `upper` are None.
+
     Raises InputError if the readings cannot determine the parameters, or the photons that were
     simulated say too little at the solution.
-
-    Parameters
-    ----------
-    profile : bool
-        Find the intervals by profile likelihood; without it `lower` and `upper` are None,
-        which is several times faster.
     """
     return result_of(find_minima(Statistic(model)), profile=profile)
 

@@ -106,24 +106,14 @@ class SideBySide:
         return {one.name: one for one in self.hypotheses}
 
 
-@dataclass(frozen=True)
-class HypothesesCompared:
-    """Campaigns of the same readings, compared."""
-
-    comparison: SideBySide
-    #: Of all together.
-    provenance: Provenance
-    #: Hashes of the scenes by hypothesis.
-    scenes: dict[str, str]
-
-
 def compare_hypotheses(
     campaigns: Sequence[str | Path | Campaign], *, run: Run = Run()
-) -> HypothesesCompared:
+) -> tuple[SideBySide, Provenance, dict[str, str]]:
     """Fit campaigns of the same readings and weigh them against each other.
 
     There are two or three; scenes, effects, priors and starts may differ. All are simulated with
-    the same random numbers.
+    the same random numbers. Beside the comparison stand the provenance of all together, and the
+    hashes of the scenes by hypothesis.
 
     Raises InputError if a file is wrong, a scene is not sound, or the readings do not determine the
     parameters; or if the readings, or what is known of the scale, are not the same.
@@ -152,7 +142,7 @@ def compare_hypotheses(
     found = side_by_side(explained, fits)
     spent = [bench.provenance() for bench in benches.values()]
     scenes = {name: each.scene_hash for name, each in zip(benches, spent, strict=True)}
-    return HypothesesCompared(found, spent_together(spent, notes), scenes)
+    return found, spent_together(spent, notes), scenes
 
 
 def _simulate(benches: Iterable[CampaignSimulations]) -> None:

@@ -104,14 +104,13 @@ def held(campaign: Campaign) -> dict[str, float]:
     return {name: known.start for name, known in _named(campaign).items() if known.fixed}
 
 
-def refuse_unnamed_coefficients(
-    campaign: Campaign, mend: str = 'name the crystal\'s coefficient in a <default name="{}" .../>'
-) -> None:
+def refuse_unnamed_coefficients(campaign: Campaign) -> None:
     """Refuse a scene whose coefficients are no parameters: it cannot be fitted."""
     for name in (ALPHA_SCAT, ALPHA_ABS):
         if name not in campaign.scene.parameters:
             problem = f"the scene has no parameter {name}"
-            raise InputError(problem, mend.format(name), path=campaign.scene.path)
+            mend = f'name the crystal\'s coefficient in a <default name="{name}" .../>'
+            raise InputError(problem, mend, path=campaign.scene.path)
 
 
 def free_parameters(

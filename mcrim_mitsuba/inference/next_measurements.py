@@ -126,13 +126,9 @@ def next_measurements(
     """What can be done next, by what it would buy per hour.
 
     That is half of the part by which the light yield's error would fall, and half of that by which
-    the doubt which explanation is right would, discounted by how surely it does.
-
-    Returns
-    -------
-    tuple of NextMeasurement
-        The best first, at most ten, with the best two together among them; what buys nothing only
-        where nothing does.
+    the doubt which explanation is right would, discounted by how surely it does. The best come
+    first, at most ten, with the best two together among them; what buys nothing only where nothing
+    does.
     """
     likely = _likely(judgement)
     offers = _offers(judgement, proposals, likely)

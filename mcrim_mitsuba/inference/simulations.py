@@ -36,7 +36,12 @@ from mcrim_mitsuba.efficiency.schedule import Schedule
 from mcrim_mitsuba.inference.drivers import Minimum, find_minima, newton
 from mcrim_mitsuba.inference.explanations import Models, plausible_priors
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model, result_of
-from mcrim_mitsuba.inference.model import ResponseModel, acts_on, held
+from mcrim_mitsuba.inference.model import (
+    ResponseModel,
+    acts_on,
+    held,
+    refuse_unnamed_coefficients,
+)
 from mcrim_mitsuba.inference.settings import EXTENT, ONE_SIGMA, SCREENING, USUAL
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.scene.spectrophotometer import (
@@ -47,6 +52,7 @@ from mcrim_mitsuba.scene.spectrophotometer import (
     spectrophotometer_of,
     too_wide,
 )
+from mcrim_mitsuba.transport.variants import versions
 
 #: What scenes call a crystal's length, and its width.
 CRYSTAL_LENGTHS = (HEIGHT, "crystal_length_mm")
@@ -494,8 +500,6 @@ class CampaignSimulations:
 
     def provenance(self) -> Provenance:
         """What was spent so far."""
-        from mcrim_mitsuba.transport.variants import versions
-
         of_caches = [note for schedule in self._schedules for note in schedule.notes]
         of_caches += self.maker.notes
         return Provenance(
@@ -542,6 +546,28 @@ class CampaignSimulations:
                 continue
             found[name] = effect
         return found
+
+
+def calibrate(simulations: CampaignSimulations) -> Calibration:
+    """Fit a campaign's readings, and with them the light yield.
+
+    The precision of its run is that of eta in every configuration, where the fit ends; a note of
+    the simulations tells where it was not reached.
+
+    Raises InputError if a configuration's scene is not sound, or the readings do not determine the
+    parameters.
+    """
+    campaign, run = simulations.campaign, simulations.run
+    refuse_unnamed_coefficients(campaign)
+    simulations.simulate()
+    run.tell(f"fitting {len(campaign.measurements.in_use)} readings", 1, 1)
+    fit = simulations.fit()
+    worst = max(row.eta_sigma / row.eta for row in fit.rows)
+    if run.precision is not None and worst > run.precision:
+        simulations.notes.append(
+            f"eta is known to {100 * worst:.2g} % only in one of the configurations"
+        )
+    return fit
 
 
 def as_numbers(names: Iterable[str], possible: Collection[str]) -> tuple[str, ...]:

@@ -233,6 +233,8 @@ class _Weigher:
         self._explanations, self._frame = explanations, null.frame
         self._readings = suspicious(null.frame)
         self._effects, self._surroundings = tuple(null.curves), surroundings()
+        self._amplitudes = np.array([around.amplitude for around in self._surroundings])
+        self._factors = np.array([around.error_factor for around in self._surroundings])
         self._discrepancy = DiscrepancyModel(explanations, null.frame)
         self._covariance = self._discrepancy.covariance()
         causes = [cause_of(explanations, name, curve) for name, curve in null.curves.items()]
@@ -462,7 +464,10 @@ class _Weigher:
         return Weighing(
             hypotheses=tuple(hypotheses),
             shares=kept / kept.sum(),
-            inclusion=self._inclusion(shares),
+            inclusion={
+                name: float(shares[(self._members == i).any(axis=0)].sum())
+                for i, name in enumerate(self._effects)
+            },
             families=self._families(shares),
             closed_part=float(1.0 - kept[in_full].sum()),
             closed_error=float(np.median(self._errors)) if self._errors else 0.0,
@@ -479,20 +484,13 @@ class _Weigher:
         much of that is its, too.
         """
         sets, priors = self.sets, np.exp([around.log_prior for around in self._surroundings])
-        unknown = np.array([around.amplitude > 0.0 for around in self._surroundings])
-        nothing = (sets.members[:, 0] < 0) & (sets.within == 0)
-        of_instrument = ~self._with_effect & ~unknown[sets.within] & ~nothing
+        unknown = self._amplitudes > 0.0
+        of_instrument = ~self._with_effect & ~unknown[sets.within]
+        of_instrument[self.place_of(())] = False
         rivals = priors[1:][~unknown[1:]].sum() + RIVALS.bad_odds + RIVALS.swapped_odds
         mistaken = priors[unknown].sum() / (priors[unknown].sum() + rivals)
         without_name = shares[~self._with_effect & unknown[sets.within]].sum()
         return float(without_name + mistaken * shares[of_instrument].sum())
-
-    def _inclusion(self, shares: Array) -> dict[str, float]:
-        """Probability of all sets with an effect, by effect."""
-        return {
-            name: float(shares[(self._members == i).any(axis=0)].sum())
-            for i, name in enumerate(self._effects)
-        }
 
     def _families(self, shares: Array) -> dict[str, float]:
         """Probability of all sets with a member of a family, the likeliest first."""
@@ -502,12 +500,11 @@ class _Weigher:
             family = self._explanations.effects[name].family
             held = (self._members == i).any(axis=0)
             members[family] = members.get(family, np.zeros(len(shares), bool)) | held
-        amplitudes = np.array([s.amplitude > 0.0 for s in sets.surroundings])
-        factors = np.array([s.error_factor != 1.0 for s in sets.surroundings])
-        members[INSTRUMENT] = (self._members >= count).any(axis=0) | factors[sets.within]
-        members[UNKNOWN] = amplitudes[sets.within]
-        members[NOTHING_MISSING] = (sets.members[:, 0] < 0) & (sets.within == 0)
+        wrong = (self._members >= count).any(axis=0)
+        members[INSTRUMENT] = wrong | (self._factors != 1.0)[sets.within]
+        members[UNKNOWN] = (self._amplitudes > 0.0)[sets.within]
         families = {family: float(shares[held].sum()) for family, held in members.items()}
+        families[NOTHING_MISSING] = float(shares[self.place_of(())])
         return dict(sorted(families.items(), key=lambda item: -item[1]))
 
     def _moving(self, shares: Array) -> float:
@@ -520,10 +517,9 @@ class _Weigher:
         means, variances = self._log_scales.copy(), self._variances.copy()
         for place, hypothesis in self._full.items():
             means[place], variances[place] = hypothesis.log_scale, hypothesis.log_scale_sigma**2
-        factors = np.array([s.error_factor for s in sets.surroundings])[sets.within]
-        amplitudes = np.array([s.amplitude for s in sets.surroundings])[sets.within]
-        there = (sets.members[:, 0] >= 0) | (amplitudes > 0.0)
-        width = np.sqrt(np.maximum(variances - own * factors**2, 1e-12 + 1e-6 * own))
+        there = (sets.members[:, 0] >= 0) | (self._amplitudes > 0.0)[sets.within]
+        stated = own * self._factors[sets.within] ** 2
+        width = np.sqrt(np.maximum(variances - stated, 1e-12 + 1e-6 * own))
         limit = math.sqrt(own)
         if (known := self._frame.fit.statistic.model.campaign.light_yield) is not None:
             limit = math.hypot(limit, known.relative_sigma)

@@ -20,7 +20,7 @@ from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.inference.budget import Budget
 from mcrim_mitsuba.inference.compare import Comparison
 from mcrim_mitsuba.inference.diagnose import Diagnosis
-from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.hypotheses import SideBySide
 from mcrim_mitsuba.inference.plan import Plan, Planning
@@ -29,7 +29,6 @@ from mcrim_mitsuba.output import sentences
 from mcrim_mitsuba.output.registry import Document, Result, encoded, fields_of
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.inference.estimates import FittedRow
     from mcrim_mitsuba.output.report_sections import Sections
 
 
@@ -240,8 +239,8 @@ class ReportResult(RepairResult):
     @classmethod
     def of_report(cls, path: Path, sections: Sections) -> Self:
         """The result of a report that was written."""
-        further = {"provenance": sections.repaired.simulations.provenance(), "sections": sections}
-        return cls.of_repair(sections.repaired, sections.campaign, path=path, **further)
+        further = {"provenance": sections.simulations.provenance(), "sections": sections}
+        return cls.of_repair(sections, sections.campaign, path=path, **further)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

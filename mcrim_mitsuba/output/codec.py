@@ -2,18 +2,16 @@
 
 `registry.encoded` makes what ``--json`` writes of a result; its ``kind`` says here how it is read.
 A result becomes rows of numbers, an error beside each (`ResultTable`), and these a dataset of
-xarray, or NetCDF. ``scripts/convert_results.py`` reads files, and writes LaTeX and CSV too.
+xarray, or NetCDF. ``scripts/convert_results.py`` reads files, whose entries it checks, and tables
+of eta among them; it writes LaTeX and CSV too.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,26 +21,16 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import json_text
 from mcrim_mitsuba.core.numbers import unit_of
 from mcrim_mitsuba.core.rounding import pdg
-from mcrim_mitsuba.efficiency.table import COLUMNS
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 
 if TYPE_CHECKING:
     import xarray
-
-#: Whole numbers beyond are nobody's result, and no float can hold the largest that JSON may have.
-_LARGEST_WHOLE = 2**63
-#: By which an interpolated part of the light may leave 0 to 1.
-_ROUNDING = 1e-3
-MEND = "give what --json of calibrate, compare, diagnose, report, simulate or table wrote"
-# a column's name: what NetCDF and CSV can hold
-_NAME = re.compile(r"[^\W\d][^\x00-\x1f/\"]*")
 
 #: What tables are of; fits are also what comparisons, repairs and reports end with.
 CALIBRATION = "calibration"
 HYPOTHESES = "hypotheses"
 DIAGNOSIS = "diagnosis"
 SIMULATION = "simulation"
-ETA_TABLE = "eta table"
 
 #: Column that names the file a row is from.
 RESULT = "result"
@@ -67,10 +55,10 @@ Part = tuple[list[Row], list[Row], dict[str, Any]]
 class ResultTable:
     """Results of one kind."""
 
-    #: `CALIBRATION`, `HYPOTHESES`, `DIAGNOSIS`, `SIMULATION` or `ETA_TABLE`.
+    #: `CALIBRATION`, `HYPOTHESES`, `DIAGNOSIS` or `SIMULATION`.
     kind: str
     #: By column; the error of NAME is NAME_sigma. Calibrations and simulations have one row
-    #: each, hypotheses one each, diagnoses one per effect, eta tables one per point.
+    #: each, hypotheses one each, diagnoses one per effect.
     rows: tuple[Row, ...]
     #: Of calibrations and hypotheses: a reading beside its prediction each.
     readings: tuple[Row, ...]
@@ -92,54 +80,19 @@ def columns_of(rows: Sequence[Row]) -> list[str]:
 
 # ---------------------------------------------------------------- documents
 
-#: Entries that are no numbers.
-_TEXTS = ("label", "name", "verdict", "effect", "at_bound")
-_FLAGS = ("use", "plausible")
-
-
-def impossible(name: str, value: float) -> str:
-    """What is wrong with a number of this name that no result has; empty where nothing is."""
-    if name.endswith("sigma") and value < 0:
-        return "a negative error"
-    if name == "eta" and not -_ROUNDING <= value <= 1 + _ROUNDING:
-        return "no fraction of the light"
-    if name in ("p_value", "p_global", "probability") and not 0 <= value <= 1:
-        return "no probability"
-    return "below 0" if name in ("chi2", "photons") and value < 0 else ""
-
 
 class JsonObject:
-    """An object of a JSON file; `place` says where in it, for messages.
+    """An object of a document, in which entries may be missing, or null."""
 
-    What it is asked for and holds as something else is an `InputError`.
-    """
-
-    def __init__(self, path: Path, content: dict[str, Any], place: str = "") -> None:
-        self.path, self.content, self._place = path, content, place
+    def __init__(self, content: dict[str, Any]) -> None:
+        self.content = content
 
     def __contains__(self, name: str) -> bool:
         return self.content.get(name) is not None
 
     def cell(self, name: str) -> Any:
-        """A finite number, a text or a flag; None for null and for what is not there."""
-        value, problem = self.content.get(name), ""
-        if value is None:
-            return None
-        if name in _TEXTS:
-            problem = "" if isinstance(value, str) else "not a text"
-        elif name in _FLAGS:
-            problem = "" if isinstance(value, bool) else "neither true nor false"
-        elif isinstance(value, bool) or not isinstance(value, int | float):
-            problem = "not a number"
-        elif isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
-            problem = "a whole number of more than 64 bits"
-        elif not math.isfinite(value):
-            problem = "not finite"
-        else:
-            problem = impossible(name, value)
-        if problem:
-            raise self.refusal(name, problem)
-        return value
+        """A number, a text or a flag; None for null and for what is not there."""
+        return self.content.get(name)
 
     def row(self, *names: str) -> Row:
         """Such cells by name."""
@@ -148,8 +101,6 @@ class JsonObject:
     def estimate(self, name: str) -> Row:
         """A fitted parameter as columns; at a bound there is no error."""
         read = self.object(name).row("value", "sigma", "lower", "upper", "at_bound")
-        if read["value"] is None:
-            raise self.refusal(name, "it has no value")
         bound = read["at_bound"]
         row = {name: read["value"], name + SIGMA: None if bound else read["sigma"]}
         row |= {name + LOWER: read["lower"], name + UPPER: read["upper"]}
@@ -157,53 +108,11 @@ class JsonObject:
 
     def object(self, name: str) -> JsonObject:
         """An object in this one; an empty one where there is none."""
-        value = self.content.get(name, {})
-        if not isinstance(value, dict):
-            raise self.refusal(name, "not an object")
-        for key in value:
-            if not _NAME.fullmatch(key):
-                raise self.refusal(name, f"the name {key[:40]!r} cannot be a column")
-        return JsonObject(self.path, value, self._at(name))
+        return JsonObject(self.content.get(name, {}))
 
     def objects(self, name: str) -> Iterator[JsonObject]:
         """Objects of a list in this one; none where there is no list."""
-        items = self.content.get(name, [])
-        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
-            raise self.refusal(name, "not a list of objects")
-        for place, item in enumerate(items):
-            yield JsonObject(self.path, item, f"{self._at(name)}[{place}]")
-
-    def refusal(self, name: str, problem: str) -> InputError:
-        """The error that says what is wrong with the entry `name`."""
-        return InputError(f"{self._at(name)}: {problem}", MEND, path=self.path)
-
-    def _at(self, name: str) -> str:
-        return f"{self._place}.{name}" if self._place else name
-
-
-def _not_a_result(path: Path) -> InputError:
-    """JSON of another program, or of a command without a result in numbers."""
-    return InputError("JSON, but no result of mcrim that can be converted", MEND, path=path)
-
-
-def kind_of(content: Mapping[str, Any]) -> str:
-    """The `kind` of a document, if it is one that tables are made of; else empty.
-
-    Documents of the version before `kind` are read for one release, by what only such a result
-    has; this goes with the next.
-    """
-    if "kind" in content:
-        return content["kind"] if content["kind"] in _READERS else ""
-    there = {name for name, value in content.items() if value is not None}
-    by_keys = (
-        ("repair", {"calibration"}),
-        ("diagnosis", {"verdict", "candidates", "baseline"}),
-        ("hypotheses", {"hypotheses", "leading"}),
-        ("fit", {"chi2", "parameters", "rows"}),
-        ("simulation", {"eta", "budget"}),
-        ("table", {"rows", "scene_hash"}),
-    )
-    return next((kind for kind, keys in by_keys if keys <= there), "")
+        return map(JsonObject, self.content.get(name, []))
 
 
 def joined(kind: str, parts: Mapping[str, Part]) -> ResultTable:
@@ -213,15 +122,14 @@ def joined(kind: str, parts: Mapping[str, Part]) -> ResultTable:
     return ResultTable(kind, rows, below, {name: work for name, (*_, work) in parts.items()})
 
 
-def read_document(document: JsonObject) -> tuple[str, Part]:
-    """What its table is of, and its rows, readings and provenance.
+def read_document(
+    document: JsonObject, readers: Mapping[str, tuple[str, Reader]] | None = None
+) -> tuple[str, Part]:
+    """What its table is of, and its rows, readings and provenance; its kind is one of `READERS`.
 
-    Raises InputError if it is no result of calibrate, compare, diagnose, report, simulate or table.
+    Or one of other `readers`, which are like these.
     """
-    kind_there = kind_of(document.content)
-    if not kind_there:
-        raise _not_a_result(document.path)
-    kind, read = _READERS[kind_there]
+    kind, read = (readers or READERS)[document.content["kind"]]
     rows, readings = read(document)
     provenance = {name: document.content[name] for name in _PROVENANCE if name in document}
     if kind == CALIBRATION and "calibration" not in document:
@@ -239,6 +147,7 @@ _OF_HYPOTHESIS = ("left_out_error", "log_evidence", "log_evidence_sigma", "proba
 _OF_CANDIDATE = ("delta_chi2", "delta_chi2_sigma", "p_global", "left_out_error", "aicc")
 
 Rows = tuple[list[Row], list[Row]]
+Reader = Callable[[JsonObject], Rows]
 
 
 def _estimates(document: JsonObject) -> Row:
@@ -324,30 +233,9 @@ def _simulation(document: JsonObject) -> Rows:
     return [row], []
 
 
-def _table_of_json(document: JsonObject) -> Rows:
-    rows = [point.row(*COLUMNS) for point in document.objects("rows")]
-    if any(None in row.values() for row in rows):
-        raise _not_a_result(document.path)
-    return without_repeated(rows, document.path), []
-
-
-def without_repeated(rows: list[Row], path: Path) -> list[Row]:
-    """Rows without those that say the same again."""
-    points: dict[tuple, Row] = {}
-    for row in rows:
-        point = tuple(row[name] for name in COLUMNS[:3])
-        if points.setdefault(point, row) != row:
-            where = ", ".join(f"{n} = {v:g}" for n, v in zip(COLUMNS, point, strict=False))
-            raise InputError(f"two values of eta at {where}", "keep one", path=path)
-    if not points:
-        raise InputError("a table without rows", "give one with rows", path=path)
-    return list(points.values())
-
-
 #: By a document's kind: what its table is of, and how it is read.
-_READERS: dict[str, tuple[str, Callable[[JsonObject], Rows]]] = {
+READERS: dict[str, tuple[str, Reader]] = {
     "simulation": (SIMULATION, _simulation),
-    "table": (ETA_TABLE, _table_of_json),
     "fit": (CALIBRATION, _fit),
     "comparison": (CALIBRATION, _fit),
     "repair": (CALIBRATION, _fit),
@@ -364,7 +252,6 @@ _READERS: dict[str, tuple[str, Callable[[JsonObject], Rows]]] = {
 # than 32 bits: such columns become floats, and an unknown number becomes NaN. Texts that are not
 # known become empty.
 
-_AXES = COLUMNS[:3]
 _MEANINGS = {
     "eta": "light collection efficiency",
     "n_gap": "refractive index of the gap",
@@ -378,23 +265,16 @@ _MEANINGS = {
 _LARGEST_INT = 2**31 - 1
 
 
-def dataset(table: ResultTable) -> xarray.Dataset:
-    """Results as a dataset.
+def dataset(table: ResultTable, data: xarray.Dataset | None = None) -> xarray.Dataset:
+    """Results as a dataset, or what `data` have over axes of their own.
 
-    Returns
-    -------
-    xarray.Dataset
-        Of eta tables: eta and eta_sigma over (n_gap, alpha_abs_per_cm, alpha_scat_per_cm), with
-        `result` before them where there is more than one table; points that a table does not
-        have are NaN. Of others: every column over ``row`` (``result`` where each has one row),
-        and readings over ``reading``. Units and meanings are attributes of the variables, what
-        makes the results reproducible is one of the dataset.
+    Every column lies over ``row`` (``result`` where each result has one row), and readings over
+    ``reading``. Units and meanings are attributes of the variables, what makes the results
+    reproducible is one of the dataset.
     """
     import xarray
 
-    if table.kind == ETA_TABLE:
-        data = _grid(table)
-    else:
+    if data is None:
         single = len(table.rows) == len(table.provenance)
         data = xarray.Dataset(_variables(table.rows, RESULT if single else "row"))
         if single:
@@ -425,17 +305,6 @@ def netcdf_bytes(data: xarray.Dataset) -> bytes:
             problem = f"NetCDF 3 cannot hold the name {name[:40]}"
             raise InputError(problem, "write .csv, or rename it")
     return bytes(data.to_netcdf(engine="scipy", format="NETCDF3_64BIT"))
-
-
-def _grid(table: ResultTable) -> xarray.Dataset:
-    """Eta over the axes of the tables, NaN at points that a table does not have."""
-    import pandas
-
-    names = list(table.provenance)
-    frame = pandas.DataFrame(table.rows).astype(dict.fromkeys(COLUMNS, float))
-    grid = frame.set_index([RESULT, *_AXES])[["eta", "eta_sigma"]].to_xarray()
-    grid = grid.reindex({RESULT: names}).assign_coords({RESULT: np.array(names)})
-    return grid.isel({RESULT: 0}, drop=True) if len(names) == 1 else grid
 
 
 def _variables(rows: Sequence[Row], dimension: str, prefix: str = "") -> dict[str, Any]:

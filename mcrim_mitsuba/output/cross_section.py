@@ -28,7 +28,7 @@ from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
 from mcrim_mitsuba.core.numbers import Value, said
 from mcrim_mitsuba.output.figure_style import fate_style, ordered, paper
-from mcrim_mitsuba.transport.check import volume_indices
+from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
 from mcrim_mitsuba.transport.cut import CrossSection, Trace, cross_section, masked
 from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.scene_model import SceneModel, Surface
@@ -541,7 +541,6 @@ def figure_of_check(checked: CheckResult) -> Figure:
     Where such a scene cannot be assembled it is drawn without the override that is wrong, or with 1
     for a parameter that is; where that is no scene either, what is wrong is written, with its line.
     """
-    from mcrim_mitsuba.transport.check import interfaces_of
     from mcrim_mitsuba.transport.simulation import Simulation
 
     faults, run = checked.problems, checked.run

@@ -31,7 +31,7 @@ from mcrim_mitsuba.core.rounding import (
     probability,
 )
 from mcrim_mitsuba.effects.effect import BenchNumber
-from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow, ParameterEstimate
 from mcrim_mitsuba.output import sentences
 from mcrim_mitsuba.output.description import (
     Cell,
@@ -58,7 +58,6 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.compare import Comparison, Suspect
     from mcrim_mitsuba.inference.corrections import Shift
     from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
-    from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
     from mcrim_mitsuba.inference.fit import Calibration
     from mcrim_mitsuba.inference.hypotheses import FittedHypothesis
     from mcrim_mitsuba.inference.next_measurements import NextMeasurement

@@ -9,7 +9,7 @@ import jinja2
 
 from mcrim_mitsuba.core.errors import visible
 from mcrim_mitsuba.core.rounding import capital, unbroken
-from mcrim_mitsuba.output.description import Description, Part, Piece, Table, parts_of
+from mcrim_mitsuba.output.description import Part, Piece, Table, parts_of
 
 
 def environment(*loaders: jinja2.BaseLoader) -> jinja2.Environment:
@@ -36,8 +36,3 @@ def blocks(pieces: Iterable[Piece]) -> Iterator[tuple[str, list[Part]]]:
         return "list" if part.text.startswith("- ") else "text"
 
     return ((name, list(parts)) for name, parts in itertools.groupby(parts_of(pieces), kind))
-
-
-def html(described: Description) -> str:
-    """The whole as a piece of a page for notebooks, which have no style sheet."""
-    return environment().get_template("notebook.html").render(parts=described.whole)

@@ -31,7 +31,7 @@ from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output.cross_section import SectionAxes, closer_view, heading
 from mcrim_mitsuba.output.figure_style import shortened
-from mcrim_mitsuba.scene.check_text import is_filled
+from mcrim_mitsuba.scene.check_text import Interface, is_filled
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
 from mcrim_mitsuba.transport.cut import cross_section
@@ -45,9 +45,9 @@ from mcrim_mitsuba.transport.photograph_parts import (
     framed,
     raised,
 )
+from mcrim_mitsuba.transport.variants import versions
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.scene.check_text import Interface
     from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Pixels of the sheet.
@@ -334,26 +334,17 @@ def render(
 ) -> Rendering:
     """Photograph a bench as it stands and taken apart, and its lower edge enlarged.
 
+    `samples` are light paths per pixel, `SAMPLES` when not given; `scale` is that of the pixels
+    over the full size, 1800 x 1150. The run is of a variant of `VARIANTS`, and the same seed gives
+    the same picture; photons and precision do not matter.
+
     Raises InputError if the scene cannot be read or is not sound, the variant has no colours, or a
     shape cannot be drawn.
-
-    Parameters
-    ----------
-    overrides : mapping, optional
-        Scene parameters that differ from the file's.
-    samples : int, optional
-        Light paths per pixel; `SAMPLES` when not given.
-    scale : float
-        Pixels over those of the full size, 1800 x 1150.
-    run : Run
-        Of a variant of `VARIANTS`; the same seed gives the same picture. Photons and precision do
-        not matter.
     """
     if run.variant not in VARIANTS:
         problem = f"the variant {run.variant!r} makes no pictures in colour"
         raise InputError(problem, f"use {' or '.join(VARIANTS)}")
     from mcrim_mitsuba.transport.simulation import Simulation
-    from mcrim_mitsuba.transport.variants import versions
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
     file, model = simulation.file, simulation.model

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ParamSpec, TypedDict, TypeVar, Unpack, overload
 
 import numpy as np
 
@@ -65,11 +65,31 @@ _FIELDS_OF_RUN = tuple(field.name for field in dataclasses.fields(Run))
 _LONGEST = 1e9
 
 
-def _run_of(run: Run | None, *fields: Any) -> Run:
-    """A run with the fields that were given, in the order of the functions' signatures."""
-    names = ("photons", "precision", "seed", "threads", "variant", "progress", "check")
-    given = {n: value for n, value in zip(names, fields, strict=True) if value is not None}
-    return dataclasses.replace(run or Run(), **given)
+class RunFields(TypedDict, total=False):
+    """Fields of a run that differ from it, where no scene parameters stand beside them."""
+
+    photons: Number | None
+    precision: Number | None
+    seed: Number | None
+    threads: Number | None
+    variant: str | None
+    progress: Progress | None
+    check: bool | None
+
+
+def _run_of(
+    run: Run | None,
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+) -> Run:
+    """A run with the fields that were given; one by one, so that editors complete `RunFields`."""
+    fields = {n: value for n, value in locals().items() if n != "run" and value is not None}
+    return dataclasses.replace(run or Run(), **fields)
 
 
 _RAISES = """
@@ -104,10 +124,17 @@ _KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
 
 
 def _public(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
-    """The function, which says what it raises, and refuses what is no argument in the same way."""
+    """The function, which says what it raises, and refuses what is no argument in the same way.
+
+    Its signature, as help shows it, has the fields of a run one by one.
+    """
     whole = inspect.signature(function)
-    signature = whole.parameters
+    signature = dict(whole.parameters)
+    if signature.pop("fields", None) is not None:
+        fields = list(inspect.signature(_run_of).parameters.values())[1:]
+        signature |= {p.name: p.replace(kind=p.KEYWORD_ONLY) for p in fields}
     open_ended = any(p.kind is p.VAR_KEYWORD for p in signature.values())
+    shown = whole.replace(parameters=list(signature.values()))
 
     @functools.wraps(function)
     def refusing(*args: _Parameters.args, **given: _Parameters.kwargs) -> _Result:
@@ -116,7 +143,7 @@ def _public(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _
                 mend = did_you_mean(name, sorted({*_FIELDS_OF_RUN, *signature}))
                 raise InputError(f"{name} is no field of a run", mend)
         try:
-            bound = whole.bind(*args, **given)
+            bound = shown.bind(*args, **given)
         except TypeError as error:
             called = f"mcrim.{function.__name__}"
             raise InputError(f"{called}: {error}", f"see help({called})") from None
@@ -129,6 +156,7 @@ def _public(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _
                 raise InputError(f"{name} is {value!r}", f"give {words}")
         return function(*args, **given)
 
+    refusing.__signature__ = shown  # type: ignore[attr-defined]
     refusing.__doc__ = inspect.cleandoc(function.__doc__ or "") + _RAISES
     return refusing
 
@@ -457,7 +485,7 @@ def check(
     from mcrim_mitsuba.output.scene_results import CheckResult
     from mcrim_mitsuba.transport.simulation import check_scene
 
-    run = _run_of(run, None, None, None, threads, variant, None, None)
+    run = _run_of(run, threads=threads, variant=variant)
     report = check_scene(scene, parameters, variant=run.variant, threads=run.threads)
     return CheckResult(**fields_of(report), scene=scene, overrides=parameters, run=run)
 
@@ -607,13 +635,7 @@ def calibrate(
     campaign: str | Path | Campaign,
     *,
     run: Run | None = None,
-    photons: Number | None = None,
-    precision: Number | None = None,
-    seed: Number | None = None,
-    threads: Number | None = None,
-    variant: str | None = None,
-    progress: Progress | None = None,
-    check: bool | None = None,
+    **fields: Unpack[RunFields],
 ) -> campaign_results.FitResult:
     """Fit a campaign: scattering coefficient and light yield, with all their errors.
 
@@ -630,19 +652,19 @@ def calibrate(
         Fitted parameters are fields, ``fit.light_yield_ph_per_keV``, and stand in
         ``fit.parameters``. Pictures ``readings``, ``profiles`` and ``budget``.
     """
-    from mcrim_mitsuba.inference.calibrate import calibrate as fit_campaign
     from mcrim_mitsuba.inference.simulations import CampaignSimulations
+    from mcrim_mitsuba.inference.simulations import calibrate as fit_campaign
     from mcrim_mitsuba.output.campaign_results import FitResult
 
     start = time.perf_counter()
     campaign = _read(campaign)
-    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    run = _run_of(run, **fields)
     simulations = CampaignSimulations(campaign, run)
     fit, seconds = fit_campaign(simulations), time.perf_counter() - start
     return FitResult.of(fit, campaign, simulations.provenance(), fit.notes, seconds=seconds)
 
 
-@overload
+@overload  # an editor looks for fields here, and not what becomes of `RunFields`
 def compare(
     campaign: str | Path | Campaign,
     /,
@@ -665,13 +687,7 @@ def compare(
     /,
     *others: str | Path | Campaign,
     run: Run | None = None,
-    photons: Number | None = None,
-    precision: Number | None = None,
-    seed: Number | None = None,
-    threads: Number | None = None,
-    variant: str | None = None,
-    progress: Progress | None = None,
-    check: bool | None = None,
+    **fields: Unpack[RunFields],
 ) -> campaign_results.HypothesesResult: ...
 
 
@@ -680,13 +696,7 @@ def compare(
     campaign: str | Path | Campaign,
     *others: str | Path | Campaign,
     run: Run | None = None,
-    photons: Number | None = None,
-    precision: Number | None = None,
-    seed: Number | None = None,
-    threads: Number | None = None,
-    variant: str | None = None,
-    progress: Progress | None = None,
-    check: bool | None = None,
+    **fields: Unpack[RunFields],
 ) -> campaign_results.ComparisonResult | campaign_results.HypothesesResult:
     """A campaign beside its model, or hypotheses on the same readings side by side.
 
@@ -707,14 +717,12 @@ def compare(
     from mcrim_mitsuba.output.campaign_results import ComparisonResult, HypothesesResult
 
     campaign = _read(campaign)
-    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    run = _run_of(run, **fields)
     if others:
         from mcrim_mitsuba.inference.hypotheses import compare_hypotheses
 
-        compared = compare_hypotheses((campaign, *others), run=run)
-        return HypothesesResult.of(
-            compared.comparison, campaign, compared.provenance, scenes=compared.scenes
-        )
+        compared, provenance, scenes = compare_hypotheses((campaign, *others), run=run)
+        return HypothesesResult.of(compared, campaign, provenance, scenes=scenes)
     from mcrim_mitsuba.inference.compare import comparison_of
     from mcrim_mitsuba.inference.simulations import CampaignSimulations
 
@@ -731,13 +739,7 @@ def diagnose(
     only: str | Sequence[str] = (),
     sure: Number = 0.9,
     run: Run | None = None,
-    photons: Number | None = None,
-    precision: Number | None = None,
-    seed: Number | None = None,
-    threads: Number | None = None,
-    variant: str | None = None,
-    progress: Progress | None = None,
-    check: bool | None = None,
+    **fields: Unpack[RunFields],
 ) -> campaign_results.DiagnosisResult:
     """Which effects of the catalogue explain a campaign's misfit.
 
@@ -761,7 +763,7 @@ def diagnose(
     from mcrim_mitsuba.output.campaign_results import DiagnosisResult
 
     campaign = _read(campaign)
-    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    run = _run_of(run, **fields)
     sure = number_of("sure", sure, mend := "give a probability from 0.5 to 1")
     if not 0.5 <= sure <= 1.0:
         raise InputError(f"sure = {sure:g}", mend)
@@ -781,13 +783,7 @@ def repair(
     effect: str | Sequence[str] = (),
     on_step: Callable[[RepairStep], None] | None = None,
     run: Run | None = None,
-    photons: Number | None = None,
-    precision: Number | None = None,
-    seed: Number | None = None,
-    threads: Number | None = None,
-    variant: str | None = None,
-    progress: Progress | None = None,
-    check: bool | None = None,
+    **fields: Unpack[RunFields],
 ) -> campaign_results.RepairResult:
     """Add effects to a campaign one by one while the data justify it.
 
@@ -813,7 +809,7 @@ def repair(
     from mcrim_mitsuba.output.campaign_results import RepairResult
 
     campaign = _read(campaign)
-    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    run = _run_of(run, **fields)
     repaired = repair_campaign(campaign, output, effect=_names(effect), run=run, on_step=on_step)
     return RepairResult.of_repair(repaired, campaign)
 
@@ -829,13 +825,7 @@ def budget(
     depth_mm: Number | None = None,
     deposits: str | Path | None = None,
     run: Run | None = None,
-    photons: Number | None = None,
-    precision: Number | None = None,
-    seed: Number | None = None,
-    threads: Number | None = None,
-    variant: str | None = None,
-    progress: Progress | None = None,
-    check: bool | None = None,
+    **fields: Unpack[RunFields],
 ) -> campaign_results.BudgetResult:
     """Where all errors of a campaign come from, and what its model leaves out.
 
@@ -870,7 +860,7 @@ def budget(
         wavelength_nm = _above_0("wavelength_nm", wavelength_nm, "wavelength")
     if depth_mm is not None:
         depth_mm = _above_0("depth_mm", depth_mm, "depth")
-    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    run = _run_of(run, **fields)
     errors = budget_of(
         campaign,
         material=material,
@@ -895,13 +885,7 @@ def plan(
     conditions: Conditions | None = None,
     anew: bool = False,
     run: Run | None = None,
-    photons: Number | None = None,
-    precision: Number | None = None,
-    seed: Number | None = None,
-    threads: Number | None = None,
-    variant: str | None = None,
-    progress: Progress | None = None,
-    check: bool | None = None,
+    **fields: Unpack[RunFields],
 ) -> campaign_results.PlanResult:
     """How to measure for a wanted error of the light yield: couplings, mountings, events.
 
@@ -943,7 +927,7 @@ def plan(
     }
     for name in (name for name, values in choices.items() if not values):
         raise InputError(f"there is no value of {name}", "give one at least")
-    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    run = _run_of(run, **fields)
     wanted = _above_0("wanted", wanted, "relative error")
     planning = plan_measurement(
         campaign, wanted, conditions=conditions, anew=anew, run=run, **choices
@@ -958,13 +942,7 @@ def report(
     *,
     effects: Sequence[str] | None = None,
     run: Run | None = None,
-    photons: Number | None = None,
-    precision: Number | None = None,
-    seed: Number | None = None,
-    threads: Number | None = None,
-    variant: str | None = None,
-    progress: Progress | None = None,
-    check: bool | None = None,
+    **fields: Unpack[RunFields],
 ) -> campaign_results.ReportResult:
     """Diagnose and mend a campaign, and write all that was found as one HTML file.
 
@@ -985,6 +963,6 @@ def report(
     from mcrim_mitsuba.output.campaign_results import ReportResult
     from mcrim_mitsuba.output.report import report as write_report
 
-    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    run = _run_of(run, **fields)
     sections = write_report(campaign, output, effects=effects and _names(effects), run=run)
     return ReportResult.of_report(Path(output), sections)

@@ -264,9 +264,10 @@ class Result:
         return f"<{type(self).__name__}: {self.description.title}; print it to read it>"
 
     def _repr_html_(self) -> str:
-        from mcrim_mitsuba.output.pages import html
+        from mcrim_mitsuba.output.pages import environment
 
-        return html(self.description)
+        notebook = environment().get_template("notebook.html")
+        return notebook.render(parts=self.description.whole)
 
     @property
     def description(self) -> Description:
@@ -311,12 +312,7 @@ class Result:
     def to_dataframe(self, title: str | None = None) -> pandas.DataFrame:
         """A table of what is shown, with errors in columns of their own (``NAME_sigma``).
 
-        Raises InputError if there is no such table.
-
-        Parameters
-        ----------
-        title : str, optional
-            Of the table; the first one by default.
+        It is that of this title, by default the first. Raises InputError if there is no such table.
         """
         tables = self.description.tables
         if not tables:
@@ -336,23 +332,18 @@ class Result:
             data: xarray.Dataset = over_axes()
             return data
         document = plain(self.document)
-        if not codec.kind_of(document):
+        if document["kind"] not in codec.READERS:
             import xarray
 
             return xarray.Dataset.from_dataframe(self.to_dataframe())
         title = self.description.title
-        kind, part = codec.read_document(codec.JsonObject(Path(title), document))
+        kind, part = codec.read_document(codec.JsonObject(document))
         return codec.dataset(codec.joined(kind, {title: part}))
 
     def plot(self, picture: str | None = None) -> Figure:
-        """A figure of it, by matplotlib.
+        """A figure of it, by matplotlib: the `picture` of this name, by default the first.
 
         Raises InputError if there is none of this name, or none at all.
-
-        Parameters
-        ----------
-        picture : str, optional
-            Which one, where there are several; the first by default.
         """
         if not self.pictures:
             raise InputError("there is no picture", "print it")

@@ -122,7 +122,7 @@ def efficiencies_csv(sections: Sections) -> bytes:
     columns = sections.campaign.cells(sections.campaign.measurements.readings[0])
     rows = [
         (e.label, *map(e.parameters.get, columns), e.eta, e.sigma, row.pull)
-        for e, row in zip(sections.efficiencies, sections.calibration.rows, strict=True)
+        for e, row in zip(sections.efficiencies, sections.fit.rows, strict=True)
     ]
     return style.numbers_text(("label", *columns, "eta", "eta_sigma", "pull"), rows).encode()
 
@@ -208,7 +208,7 @@ def album_of(sections: Sections) -> dict[str, Picture]:
 
 def _drawings(sections: Sections) -> dict[str, style.Drawing]:
     """Figures by their names in `_SHOWN`, those that the campaign has a use for."""
-    diagnosis, fit, baseline = sections.diagnosis, sections.calibration, sections.diagnosis.baseline
+    diagnosis, fit, baseline = sections.diagnosis, sections.fit, sections.diagnosis.baseline
     unit = sections.campaign.unit
     drawings = {}
     if sections.bench.cross_section is not None:
@@ -298,19 +298,19 @@ def render(sections: Sections) -> str:
     pages.filters |= {"estimate": sentences.estimate_text, "value": short_text}
     pages.filters |= {"data_uri": data_uri}
     template = pages.get_template("template.html")
-    parameters = sections.calibration.parameters
+    parameters = sections.fit.parameters
     raw, steps = sections.campaign.raw, sections.diagnosis.repair
     if sections.effects:
         # effects that the user chose were not added one by one
         kept = steps[:1] if sections.chosen_by_hand else steps
-        steps = (*(kept[:-1] or kept), final_step(kept[-1], sections.calibration))
-    notes = dict.fromkeys((*sections.calibration.notes, *sections.repaired.provenance.notes))
+        steps = (*(kept[:-1] or kept), final_step(kept[-1], sections.fit))
+    notes = dict.fromkeys((*sections.fit.notes, *sections.provenance.notes))
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     return template.render(
         sections=sections,
         campaign=sections.campaign,
         diagnosis=sections.diagnosis,
-        fit=sections.calibration,
+        fit=sections.fit,
         pictures=album_of(sections),
         efficiencies=efficiencies_csv(sections),
         faces=records("", FACES, sections.bench.report.interfaces),

@@ -25,7 +25,6 @@ from mcrim_mitsuba.effects.effect import modules_of
 from mcrim_mitsuba.efficiency.lighting import Light, follow_light
 from mcrim_mitsuba.inference.budget import errors_of
 from mcrim_mitsuba.inference.corrections import fitted
-from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.next_measurements import READING, NextMeasurement
 from mcrim_mitsuba.inference.profiles import Profile
@@ -37,12 +36,15 @@ from mcrim_mitsuba.inference.repair import (
     scene_text,
 )
 from mcrim_mitsuba.output import photograph
-from mcrim_mitsuba.output.registry import encoded
+from mcrim_mitsuba.output.cross_section import cross_section_figure
+from mcrim_mitsuba.output.registry import encoded, fields_of
 from mcrim_mitsuba.output.sentences import errors_apart, headline, leading_candidates
 from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.cache_files import Chunk
 from mcrim_mitsuba.scene.check_text import CheckReport
 from mcrim_mitsuba.scene.scene_file import DefaultParameter, SceneFile
+from mcrim_mitsuba.transport.check import check_simulation, interfaces_of
+from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Configurations whose light is followed.
 MOST_LIGHTS = 4
@@ -54,11 +56,9 @@ Stage = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Sections:
-    """A campaign from its readings to its result."""
+class Sections(Repaired):
+    """A campaign from its readings to its result: what was found, and what was done about it."""
 
-    #: What was found and what was done about it.
-    repaired: Repaired
     #: Of every reading's configuration.
     efficiencies: tuple[Efficiency, ...]
     profiles: tuple[Profile, ...]
@@ -89,34 +89,19 @@ class Sections:
     @property
     def campaign(self) -> Campaign:
         """As it came."""
-        return self.repaired.simulations.campaign
-
-    @property
-    def diagnosis(self) -> Diagnosis:
-        """What explains the readings and what does not."""
-        return self.repaired.diagnosis
-
-    @property
-    def calibration(self) -> Calibration:
-        """The fit that is quoted."""
-        return self.repaired.fit
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Those that were added."""
-        return self.repaired.effects
+        return self.simulations.campaign
 
     @property
     def headline(self) -> str:
         """The verdict in a sentence."""
         leading = leading_candidates(self.diagnosis)
         is_first = bool(leading) and leading[0].effects == self.effects
-        return headline(self.diagnosis, self.calibration if is_first else None)
+        return headline(self.diagnosis, self.fit if is_first else None)
 
     def numbers(self) -> dict[str, Any]:
         """The result for JSON."""
         result = {}
-        for name, estimate in self.calibration.parameters.items():
+        for name, estimate in self.fit.parameters.items():
             errors = zip(("statistical", "systematic"), errors_apart(estimate), strict=True)
             whole = attributes(estimate, "total=sigma lower upper at_bound contributions")
             result[name] = {"name": name, "value": estimate.value, **dict(errors), **whole}
@@ -124,7 +109,7 @@ class Sections:
             "result": result,
             "efficiencies": self.efficiencies,
             "effects": list(self.effects),
-            "calibration": self.calibration.numbers(),
+            "calibration": self.fit.numbers(),
             "files": {str(source.path): source.sha256 for source in self.sources},
             "command": self.command,
             "made": self.made.isoformat(timespec="seconds"),
@@ -166,7 +151,7 @@ def gather(
     if to_build and drawn is None:  # nobody builds what is suspected
         next_bench = _drawn(mended_scene(campaign, lacking, values), to_build, run)
     return Sections(
-        repaired=repaired,
+        **fields_of(repaired),
         efficiencies=efficiencies(calibration),
         profiles=profiles,
         ratio=ratio_curve(calibration),
@@ -209,10 +194,6 @@ def _behind_pictures(
 
 def _drawn(scene: SceneFile, proposal: NextMeasurement, run: Run) -> Figure:
     """The bench of a proposed reading."""
-    from mcrim_mitsuba.output.cross_section import cross_section_figure
-    from mcrim_mitsuba.transport.check import interfaces_of
-    from mcrim_mitsuba.transport.simulation import Simulation
-
     simulation = Simulation(scene, proposal.parameters, variant=run.variant, threads=run.threads)
     interfaces = interfaces_of(simulation.file, simulation.model)
     return cross_section_figure(simulation, interfaces, brief=True)
@@ -222,8 +203,6 @@ def _lights(
     couplings: Sequence[Reading], scene: SceneFile, run: Run, stage: Stage
 ) -> tuple[tuple[str, Light], ...]:
     """Where the light of each coupling goes, by the label of a reading."""
-    from mcrim_mitsuba.transport.simulation import Simulation
-
     lights, run = [], replace(run, photons=LIGHT_PHOTONS, progress=None)
     for reading in couplings:
         stage("where the light goes")
@@ -463,10 +442,6 @@ def describe(
 
     Raises InputError if the scene is not sound.
     """
-    from mcrim_mitsuba.output.cross_section import cross_section_figure
-    from mcrim_mitsuba.transport.check import check_simulation
-    from mcrim_mitsuba.transport.simulation import Simulation
-
     drawn = scene.with_overrides(reading.parameters)
     simulation = Simulation(drawn, variant=run.variant, threads=run.threads, check=False)
     report = check_simulation(simulation, light=False)

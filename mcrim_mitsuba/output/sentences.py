@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from mcrim_mitsuba.campaign.editor import beam_notes
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, of_sample
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, titled, unit_of
@@ -24,7 +25,7 @@ from mcrim_mitsuba.core.rounding import (
     probability,
     short_text,
 )
-from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow, ParameterEstimate
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.judgement import AMBIGUOUS, MISSING_EFFECT, NO_EFFECTS, UNEXPLAINED
 from mcrim_mitsuba.inference.plan import (
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.candidates import Candidate, Limit
     from mcrim_mitsuba.inference.compare import Comparison, Suspect, Trend
     from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
-    from mcrim_mitsuba.inference.estimates import FittedRow
     from mcrim_mitsuba.inference.fit import Calibration
     from mcrim_mitsuba.inference.hypotheses import FittedHypothesis, SideBySide
     from mcrim_mitsuba.inference.next_measurements import NextMeasurement
@@ -896,6 +896,4 @@ def beam_doubt(campaign: Campaign, calibration: Calibration) -> str:
     estimate = calibration.parameters.get(ALPHA_SCAT)
     if campaign.raw is None or estimate is None:
         return ""
-    from mcrim_mitsuba.campaign.editor import beam_notes
-
     return " ".join(f"But {note}." for note in beam_notes(campaign.raw, estimate.value))

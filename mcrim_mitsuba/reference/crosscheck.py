@@ -16,10 +16,10 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.noise_free import bench_of
 from mcrim_mitsuba.efficiency.polished_box import BoxEfficiency, solve_box
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.transport.simulation import Simulation, SimulationResult
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.reference.tracer import TracerResult
-    from mcrim_mitsuba.transport.simulation import Simulation, SimulationResult
 
 #: A fate that fewer photons of the tracer met than this has no normal distribution yet.
 FEWEST_COUNTS = 25
@@ -67,8 +67,6 @@ def crosscheck(
     scene: str | Path | SceneFile,
     overrides: Mapping[str, Value] | None = None,
     *,
-    mitsuba_photons: int | None = None,
-    general: bool = False,
     run: Run = Run(),
 ) -> Crosscheck:
     """Run a scene in Mitsuba and in the independent tracer and compare every fate.
@@ -76,24 +74,21 @@ def crosscheck(
     Where the bench is a polished box, eta and the absorbed part are compared with the solver
     without photons too.
 
-    The run's photons are the tracer's, a million if nothing is said; `mitsuba_photons` are four
-    times as many when not given: they are cheap. The two programs draw unrelated numbers from
-    its seed, and its precision does not matter. Mitsuba's `general` path may be compared even where
-    the fast one would do.
+    The run's photons are the tracer's, a million if nothing is said; Mitsuba's, which are cheap,
+    are four times as many. The two programs draw unrelated numbers from its seed, and its precision
+    does not matter.
 
     Raises InputError if the scene cannot be read or is not sound, or has a part that the tracer
     does not know.
     """
     from mcrim_mitsuba.reference.scene_bench import read_bench
     from mcrim_mitsuba.reference.tracer import trace
-    from mcrim_mitsuba.transport.simulation import Simulation
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
     bench, photons = read_bench(simulation.file), run.photons_or(1_000_000)
     ours = simulation.collect(
-        mitsuba_photons or 4 * photons,
+        4 * photons,
         seed=run.seed,
-        general=general,
         progress=lambda done, total, *_: run.tell("Mitsuba", done, total),
     )
     if ours.interrupted:

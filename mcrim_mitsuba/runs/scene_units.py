@@ -17,6 +17,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.runs.executors import number_of
 from mcrim_mitsuba.scene.scene_file import SceneFile, ScenePlan, read_scene
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH
+from mcrim_mitsuba.transport.variants import use_variant
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.simulation import Simulation
@@ -126,7 +127,6 @@ class SceneUnit:
         Raises InputError as `transport.simulation.Simulation`.
         """
         from mcrim_mitsuba.transport.simulation import Simulation
-        from mcrim_mitsuba.transport.variants import use_variant
 
         of = self.scene
         told_by = of.content_hash if isinstance(of, PortableScene) else self.own_scene.text_or_hash

@@ -30,6 +30,7 @@ from mcrim_mitsuba.core.numbers import (
 )
 from mcrim_mitsuba.optics.emission_band import index_over
 from mcrim_mitsuba.optics.materials import Material, is_known, material
+from mcrim_mitsuba.optics.spectrum import average_over
 
 SEPARATOR = "@"
 _WAVELENGTH = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([a-zA-Zµμ]*)")
@@ -62,7 +63,6 @@ class MaterialIndex:
         if self.wavelength_nm is not None:
             return float(self.material.group_index(self.wavelength_nm))
         assert self.emission is not None  # one of the two is given
-        from mcrim_mitsuba.optics.spectrum import average_over
         from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 
         # at wavelengths where the index is not known, that of the end, as for the index

@@ -64,14 +64,6 @@ def choose_path(
     return GeneralPath(model, polarization, trace_all=general)
 
 
-def empty_tally(model: SceneModel) -> FateTally:
-    """What photons of a scene are tallied in; eta is what its integrator counts."""
-    counted = "detected"
-    if model.counted is not None and len(model.detectors) > 1:
-        counted = detected_by(model.detectors[model.counted])
-    return FateTally(head_on=model.head_on, counted=counted)
-
-
 class Launcher:
     """Launches photons into a crystal's scene; without `fold` they fly to every reflection."""
 
@@ -84,12 +76,14 @@ class Launcher:
         *,
         fold: bool = True,
     ) -> None:
-        self._crystal = crystal
+        self._crystal, model, counted = crystal, crystal.model, "detected"
         volume = crystal.volume if fold else None
         #: As `choose_path` chooses.
-        self.path = choose_path(crystal.model, polarization, general, volume)
-        #: Of all launches so far.
-        self.tally = empty_tally(crystal.model)
+        self.path = choose_path(model, polarization, general, volume)
+        if model.counted is not None and len(model.detectors) > 1:
+            counted = detected_by(model.detectors[model.counted])
+        #: Of all launches so far; eta is what the integrator counts.
+        self.tally = FateTally(head_on=model.head_on, counted=counted)
 
     @property
     def size(self) -> int:

@@ -115,7 +115,10 @@ def _find_convex_solids(model: SceneModel) -> list[Solid]:
                 side
                 for sides in (
                     *(_sides(model, face) for plane in planes for face in plane.faces),
-                    *(_wall_sides(model, wall) for wall in round_walls.get(number, ())),
+                    *(
+                        model.surfaces[model.walls[wall].surface].sides
+                        for wall in round_walls.get(number, ())
+                    ),
                 )
                 for side in sides
                 # no light comes back from a liquid without end
@@ -159,11 +162,6 @@ def _round_wall(model: SceneModel, volume: int) -> tuple[int, ...]:
 def _ends_and_circle(wall: RoundWall) -> list[float]:
     circle = wall.circle
     return [circle.axis, *circle.centre_mm, circle.radius_mm, wall.low_mm, wall.high_mm]
-
-
-def _wall_sides(model: SceneModel, wall: int) -> tuple[int, int]:
-    """Volumes on the two sides of a round wall."""
-    return model.surfaces[model.walls[wall].surface].sides
 
 
 def _sides(model: SceneModel, face: int) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -24,11 +24,8 @@ from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
 from mcrim_mitsuba.transport.convex import NO_FACE
 from mcrim_mitsuba.transport.dielectric import resumed, unpolarised_field
 from mcrim_mitsuba.transport.launch_plan import LanePlan, ScatteringProposals, detected_by
-from mcrim_mitsuba.transport.record_store import RecordStore
+from mcrim_mitsuba.transport.record_store import RecordStore, TrailStore
 from mcrim_mitsuba.transport.scene_model import DIFFUSE, OUTSIDE
-
-if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.record_store import TrailStore
 
 #: Weight down to which losses lower a photon's weight. Below it the photon lives or
 #: dies whole, so that faint photons end and every photon's fates still sum to one.

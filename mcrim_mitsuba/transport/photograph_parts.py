@@ -401,13 +401,8 @@ def _face(group: Sequence[tuple[Surface, Triangles]]) -> BenchPart:
 def _opaque(surface: Surface) -> Finish:
     if surface.kind == DETECTOR:
         return Finish(MATTE, RED)
-    return Finish(MATTE, grey_of(surface)) if surface.kind == DIFFUSE else Finish(METAL, STEEL)
-
-
-def grey_of(surface: Surface) -> Colour:
-    """Of a surface that reflects diffusely."""
     grey = 0.92 * surface.reflectance
-    return grey, grey, grey
+    return Finish(MATTE, (grey,) * 3) if surface.kind == DIFFUSE else Finish(METAL, STEEL)
 
 
 def _rods(shapes: Sequence[Triangles], shade: Colour) -> list[Body]:

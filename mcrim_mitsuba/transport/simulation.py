@@ -21,6 +21,7 @@ from mcrim_mitsuba.scene.mesh_file import EXPORT_AGAIN, refuse_broken_meshes
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.xml_tree import PLUGIN_TYPES
 from mcrim_mitsuba.transport.launch_plan import FateTally
+from mcrim_mitsuba.transport.plugins import properties_of_plugins
 from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT, use_variant, versions
 
 if TYPE_CHECKING:
@@ -327,8 +328,6 @@ def _refusal_of_names(
     cause: str, file: SceneFile, place: tuple[Path, int | None]
 ) -> InputError | None:
     """A property that a plugin does not know, or lacks, told where it is written."""
-    from mcrim_mitsuba.transport.plugins import properties_of_plugins
-
     told = _NAME.search(cause)
     elements = (e for e in file.root.iter(etree.Element) if file.place_of(e) == place)
     element = next((e for e in elements if told and e.type == told["type"]), None)

@@ -45,7 +45,7 @@ from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from trials import truth as common
 from trials.executor import Trial, TrialExecutor, Trials, executor_options
-from trials.surface_model import CampaignModel
+from trials.surface_model import CampaignModel, RecordSurface
 from trials.truth import PRIOR_SIGMA_PER_CM, TRUE_ALPHA_ABS_PER_CM, TRUE_ALPHA_SCAT_PER_CM
 
 NAMES = (ALPHA_SCAT, ALPHA_ABS, SCALE)
@@ -209,7 +209,7 @@ def fit_realisation(realisation: Realisation) -> list[dict[str, Any] | str]:
     except InputError as error:
         return [str(error)] * len(realisation.campaigns)
 
-    def surface_of(parameters: Mapping[str, object]) -> EtaSurface:
+    def surface_of(parameters: Mapping[str, object]) -> RecordSurface:
         return surfaces[tuple(parameters[name] for name in COLUMNS)]
 
     fits: list[dict[str, Any] | str] = []
@@ -246,7 +246,7 @@ def _truth_sigma(
     return np.sqrt(np.einsum("ij,jk,ik->i", by_reading, shared.astype(float), by_reading))
 
 
-def _simulate(realisation: Realisation) -> dict[Configuration, EtaSurface]:
+def _simulate(realisation: Realisation) -> dict[Configuration, RecordSurface]:
     """Surfaces of the fit by configuration."""
     truth, distinct = realisation.alpha_scat_per_cm, dict.fromkeys(realisation.configurations)
     points = [
@@ -254,17 +254,18 @@ def _simulate(realisation: Realisation) -> dict[Configuration, EtaSurface]:
         for factor in (1 / 1.2, 1.0, 1.2)
         for a_a in (SIMULATED_ALPHA_ABS_PER_CM[0], *TRUE_ALPHA_ABS_PER_CM)
     ]
-    return {
-        configuration: record_surface(
+    surfaces = {}
+    for configuration, seed in zip(distinct, realisation.seeds, strict=True):
+        surface, _ = record_surface(
             _scene_of(configuration),
             points,
             alpha_scat_range_per_cm=(truth / REACH, truth * REACH),
             alpha_abs_range_per_cm=SIMULATED_ALPHA_ABS_PER_CM,
             # the truth's simulation has checked the same scenes
             run=Run(realisation.photons, seed=seed, threads=1, check=False),
-        )[0]
-        for configuration, seed in zip(distinct, realisation.seeds, strict=True)
-    }
+        )
+        surfaces[configuration] = RecordSurface(surface.grid, surface.table)
+    return surfaces
 
 
 def as_campaign(configurations: Sequence[Configuration], drawn: DrawnCampaign) -> Campaign:

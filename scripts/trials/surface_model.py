@@ -22,6 +22,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
+from mcrim_mitsuba.efficiency.eta_surface import EtaSurface
 from mcrim_mitsuba.efficiency.surface import EtaPoint, Lagrange
 from mcrim_mitsuba.inference.model import (
     Prediction,
@@ -117,6 +118,20 @@ class EfficiencySurface(Protocol):
 
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
         """Monte Carlo covariance of eta at two points, each a value for every parameter."""
+
+
+class RecordSurface(EtaSurface):
+    """An efficiency surface of photon records."""
+
+    @property
+    def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
+        return self.grid.alpha_scat_range_per_cm
+
+    def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
+        points = [(point[ALPHA_SCAT], point[ALPHA_ABS]) for point in (first, second)]
+        batches = self.batches(points)
+        products = np.prod(batches - batches.mean(axis=0), axis=1)
+        return float(products.sum()) / (len(batches) * (len(batches) - 1))
 
 
 class InterpolatedSurface(EfficiencySurface):

@@ -15,11 +15,7 @@ PAGE = [
     "mcrim_mitsuba",
     "app",
     SCENES / "camoo4_campaign.toml",
-    "--no-browser",
-    "--photons",
-    "1000",
-    "--threads",
-    "1",
+    *"--no-browser --photons 1000 --threads 1".split(),
 ]
 
 

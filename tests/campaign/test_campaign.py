@@ -562,16 +562,7 @@ def test_a_liquid_without_a_parameter_cannot_be_left_out_of_the_beam(three):
     assert "three.xml" in refused and "name the liquid's index as a parameter n_gap" in refused
 
 
-@pytest.mark.parametrize(
-    ("entry", "names"),
-    [
-        ("gap_mm = 0.01", ["gap_mm"]),
-        ("n_gap = 0.01", ["n_gap=1.333", "n_gap=1.46"]),  # that of air is known
-        ('n_gap = {sigma = 0.01, each = "value"}', ["n_gap=1.333", "n_gap=1.46"]),
-        ('n_gap = {sigma = 0.01, each = "all"}', ["n_gap"]),
-        ("none = true", []),
-    ],
-)
+@cases("entry", "names")
 def test_every_value_of_a_column_is_a_part_with_a_tolerance(folder, entry, names):
     (folder / "measured.csv").write_text(CSV + "water,20.0,0.3,1.333\n")
     only = "none = true\n" * (entry != "none = true")

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from formula_surfaces import air, couplings, gel
+from places import cases_of
 from refusals import refusal
 from scipy.stats import binom
 from trials.digitiser import ALPHA_ABS, ALPHA_SCAT, EFFICIENCY, ENERGY_KEV, LIGHT_YIELD
@@ -22,6 +23,8 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.laboratory.digitiser import read_channels
 from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
+
+cases = cases_of(__file__)
 
 YIELD = "light_yield_ph_per_keV"
 COUPLINGS = [(1.0, 10.0), (1.46, 10.0)]
@@ -185,35 +188,7 @@ def test_the_page_shows_every_step(campaign, tmp_path):
 ENTRIES = 'single_photoelectron = "few.csv"\npedestal = "dark.csv"'
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ('single_photoelectron = "few.csv"', "", "[calibration] has no single_photoelectron"),
-        ("few.csv", "many.csv", "many.csv does not exist"),
-        ("few.csv", "dark.csv", "next to nothing lies above the pedestal"),
-        ('"few.csv"', "-3.0", "single_photoelectron = -3 is not above 0"),
-        (
-            '"few.csv"',
-            '"few.csv"\nsingle_photoelectron_sigma = 1',
-            "without single_photoelectron as a number",
-        ),
-        ('pedestal = "dark.csv"', "pedestal_sigma = 0.1", "pedestal_sigma without pedestal"),
-        ('pedestal = "dark.csv"', "", "no pedestal stands out at the low end"),
-        (
-            'pedestal = "dark.csv"',
-            "excess_noise_factor = 1.1",
-            "excess_noise_factor without a pedestal",
-        ),
-        (
-            "range_ratio_sigma = 0.075",
-            "range_ratio_sigma = -1",
-            "range_ratio_sigma = -1 is below 0",
-        ),
-        ("range_ratio =", "ratio =", "[calibration] has no entry ratio; did you mean range_ratio"),
-        ("range_ratio =", "scale_sigma = 0.1\nrange_ratio =", "scale_sigma beside spectra"),
-        ("range_ratio =", "crosstalk = 1\nrange_ratio =", "crosstalk is not true or false"),
-    ],
-)
+@cases("old", "new", "says")
 def test_tables_that_cannot_be_used_are_refused(folder, old, new, says):
     path = folder / "broken.toml"
     path.write_text((folder / "campaign.toml").read_text().replace(old, new))

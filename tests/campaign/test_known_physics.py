@@ -9,8 +9,7 @@ from mcrim_mitsuba.campaign.editor import plain_texts
 from mcrim_mitsuba.campaign.known_physics import KnownCrystal
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.budget import budget
-from mcrim_mitsuba.inference.calibrate import calibrate
-from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, calibrate
 from mcrim_mitsuba.optics.gammas import attenuation_length_mm
 from mcrim_mitsuba.output.report_sections import sources_of
 from mcrim_mitsuba.scene.scene_file import read_scene

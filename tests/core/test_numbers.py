@@ -15,43 +15,17 @@ from mcrim_mitsuba.core.numbers import judge, number_of, parse_number, value_tex
 cases = cases_of(__file__)
 
 
-@pytest.mark.parametrize(
-    ("name", "unit", "words", "title"),
-    [
-        ("gap_mm", "mm", "gap", "gap (mm)"),
-        ("alpha_scat_per_cm", "1/cm", "scattering", "scattering (1/cm)"),
-        ("light_yield_ph_per_keV", "keV", "light yield ph per", "light yield ph per (keV)"),
-        ("acceptance_deg", "degrees", "acceptance", "acceptance (degrees)"),
-        ("n_gap", None, "gap index", "gap index"),
-        ("polarization", None, "polarization", "polarization"),
-        # of `BenchNumber.offset_name`
-        ("wrong_crystal_width_offset_mm", "mm", "crystal width off", "crystal width off (mm)"),
-        ("wrong_gap_0_05_offset_mm", "mm", "gap 0.05 off", "gap 0.05 off (mm)"),
-        ("wrong_n_gap_1_465_offset", None, "gap index 1.465 off", "gap index 1.465 off"),
-    ],
-)
+@cases("name", "unit", "words", "title")
 def test_the_unit_of_a_parameter_is_the_end_of_its_name(name, unit, words, title):
-    assert numbers.unit_of(name) == unit
+    assert numbers.unit_of(name) == (unit or None)
     assert numbers.without_unit(name) == words
     assert numbers.titled(name) == title
 
 
-@pytest.mark.parametrize(
-    ("parameters", "told"),
-    [
-        ({"gap_mm": 5.0}, "is 5, seldom more than 3: is it meant in mm?"),
-        ({"alpha_scat_per_cm": 54}, "is 54, seldom more than 30: is it meant in 1/cm?"),
-        (
-            {"aperture_radius_mm": 140.0, "window_width_mm": 28.0},
-            "is 140 mm: such a mask covers nothing of a window 28 mm wide",
-        ),
-        ({"gap_mm": 2.0, "alpha_abs_per_cm": 20.0, "source_depth_mm": 15.0, "film_mm": 0.1}, None),
-        ({"aperture_radius_mm": 14.0, "window_width_mm": 28.0, "gap_id": "air"}, None),
-    ],
-)
+@cases("parameters", "told")
 def test_what_is_hardly_meant_is_doubted(parameters, told):
     doubts = dict(numbers.doubts(parameters))
-    assert doubts == ({} if told is None else {next(iter(parameters)): told})
+    assert doubts == ({next(iter(parameters)): told} if told else {})
 
 
 def test_values_in_words():

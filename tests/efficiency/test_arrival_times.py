@@ -189,16 +189,8 @@ def test_times_as_a_dataset_and_beside_a_simulation(here, mcrim):
     shown = mcrim.shown(
         "simulate",
         BENCH,
-        "--photons",
-        "20000",
-        "--times",
-        "t.csv",
-        "--group-index",
-        "crystal=2.08",
-        "--detected",
-        "3",
-        "--figure",
-        "light.png",
+        *"--photons 20000 --times t.csv --figure light.png".split(),
+        *"--group-index crystal=2.08 --detected 3".split(),
     )
     assert "first of 3 detected photons" in shown and "light_times.png" in shown
     lines = (here / "t.csv").read_text().splitlines()

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places import SCENES, tables_of
+from places import SCENES, cases_of, tables_of
 from validate.benches import home
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
@@ -21,13 +21,14 @@ from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, difference
 from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.efficiency.proposals import Beyond, coverage_of
 from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR, ResponseMaker
-from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.repair import mended_files, repair
-from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, calibrate
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.simulation import Simulation
+
+cases = cases_of(__file__)
 
 SCENE = SCENES / "camoo4.xml"
 READINGS = """label,signal,sigma,n_gap,aperture_radius_mm
@@ -449,14 +450,7 @@ def of_acceptance(request, with_beam, tmp_path_factory):
     return model
 
 
-@pytest.mark.parametrize(
-    ("effect", "size"),
-    [
-        (None, {}),
-        ("surface_roughness", {"roughness_alpha": 0.03}),
-        ("crystal_index", {"n_crystal": 2.06}),
-    ],
-)
+@cases("effect", "size")
 @pytest.mark.parametrize("angle", [1.3, 4.0, 12.0])
 def test_a_fitted_acceptance_acts_as_in_the_scene(with_beam, of_acceptance, effect, size, angle):
     model = of_acceptance(*[effect] if effect else [])

@@ -14,13 +14,12 @@ from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR
 from mcrim_mitsuba.inference.budget import budget, contributions_to
-from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.compare import comparison_of
 from mcrim_mitsuba.inference.corrections import fitted
 from mcrim_mitsuba.inference.diagnose import diagnose
 from mcrim_mitsuba.inference.drivers import settle
 from mcrim_mitsuba.inference.repair import repair
-from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, calibrate
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.output.describe_campaign import numbers_of_bench
 from mcrim_mitsuba.output.report_sections import efficiencies

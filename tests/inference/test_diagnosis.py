@@ -35,16 +35,9 @@ TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 SOME = {
     name: bench.EFFECTS[name]
     for name in (
-        "polarization",
-        "scattering_gradient",
-        "source_depth",
-        "surface_absorption",
-        "gap_bubble",
-        "detector_angle",
-        "detector_radius",
-        "background",
-        "nonlinearity",
-    )
+        "polarization scattering_gradient source_depth surface_absorption gap_bubble "
+        "detector_angle detector_radius background nonlinearity"
+    ).split()
 }
 #: Family-wise false alarms of the statistical tests below; seeds are fixed.
 FALSE_ALARM = 0.001

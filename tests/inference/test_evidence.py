@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from places import cases_of
 from scipy import special, stats
 from trials import formula_bench as bench
 
@@ -12,6 +13,8 @@ import mcrim_mitsuba
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.inference.evidence import even, evidence_of, gaussian, size
 from mcrim_mitsuba.inference.weighing import Hypothesis, Weighing
+
+cases = cases_of(__file__)
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 
@@ -46,17 +49,7 @@ def rough():
     return explanations(0.06)
 
 
-@pytest.mark.parametrize(
-    "effects",
-    [
-        (),
-        ("gap_bubble",),
-        ("scattering_gradient",),
-        ("background",),
-        ("source_depth",),
-        ("edge_chamfer", "gap_bubble"),
-    ],
-)
+@cases("effects")
 def test_evidence_is_the_average_over_the_priors(rough, effects):
     """To 0.1 in the logarithm, by 262,144 even points, of which several hundred count."""
     fit, priors = rough.fit(effects), rough.priors(effects)

@@ -10,7 +10,7 @@ import pytest
 from formula_surfaces import FormulaSurface
 from refusals import refusal
 from scipy import stats
-from trials.surface_model import CampaignModel
+from trials.surface_model import CampaignModel, RecordSurface
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
@@ -253,13 +253,14 @@ def test_100_synthetic_campaigns_scatter_as_planned(scenes, article, without_pho
     def surfaces(parameters):
         index = parameters["n_gap"]
         if index not in made:
-            made[index], _ = record_surface(
+            surface, _ = record_surface(
                 scene.with_overrides({"n_gap": index}),
                 [(0.3, 0.02), (0.55, 0.04), (1.0, 0.06)],
                 run=Run(49_152, seed=3),
                 alpha_scat_range_per_cm=(0.1, 3.0),
                 alpha_abs_range_per_cm=(0.0, 0.15),
             )
+            made[index] = RecordSurface(surface.grid, surface.table)
         return made[index]
 
     without_photons(surfaces)

@@ -12,8 +12,7 @@ from trials.formula_bench import explanations_of
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference.calibrate import calibrate
-from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, calibrate
 from mcrim_mitsuba.reference.tracer import trace
 
 PHOTONS = 40_000

@@ -332,13 +332,7 @@ def test_only_indices_can_be_materials(bench):
     assert "gap_mm = 'air@540nm' is not a finite number" in refused
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("CaMoO4@540nm", "only parameters can name a material"),
-        ("nonsense", "int_ior = 'nonsense' is not a finite number"),
-    ],
-)
+@cases("text", "says")
 def test_a_surface_takes_numbers_only(bench, mcrim, text, says):
     path = bench()
     old = '<float name="int_ior" value="$n_crystal"/>'

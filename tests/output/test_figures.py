@@ -16,7 +16,7 @@ from trials.surface_model import CampaignModel
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.inference import calibrate as campaigns
+from mcrim_mitsuba.inference import simulations as campaigns
 from mcrim_mitsuba.inference.compare import Comparison, Suspect
 from mcrim_mitsuba.inference.diagnose import RepairStep
 from mcrim_mitsuba.inference.estimates import FittedRow

@@ -52,14 +52,7 @@ def test_units_survive_a_full_disk(scenes, disk, tmp_path, monkeypatch, capsys):
     line = [
         "table",
         str(scenes / "camoo4.xml"),
-        "--alpha-scat",
-        "0.1,0.5",
-        "--alpha-abs",
-        "0.039",
-        "--n-gap",
-        "1.0,1.3,1.46",
-        "--photons",
-        "2e5",
+        *"--alpha-scat 0.1,0.5 --alpha-abs 0.039 --n-gap 1.0,1.3,1.46 --photons 2e5".split(),
     ]
     assert main([*line, "--json", str(tmp_path / "whole.json")]) == 0
     whole = json.loads((tmp_path / "whole.json").read_text())
@@ -111,18 +104,7 @@ def number(n):
     return n
 
 
-TABLE = [
-    "table",
-    "{bench}",
-    "--alpha-scat",
-    "0.5",
-    "--alpha-abs",
-    "0.039",
-    "--n-gap",
-    "1",
-    "--photons",
-    "2e4",
-]
+TABLE = "table {bench} --alpha-scat 0.5 --alpha-abs 0.039 --n-gap 1 --photons 2e4".split()
 
 
 @pytest.mark.parametrize(
@@ -178,13 +160,7 @@ def test_standard_output_on_a_full_disk(further):
         done = subprocess.run(
             [
                 sys.executable,
-                "-m",
-                "mcrim_mitsuba",
-                "lab",
-                "index",
-                "CaMoO4",
-                "--nm",
-                "540",
+                *"-m mcrim_mitsuba lab index CaMoO4 --nm 540".split(),
                 *further,
             ],
             stdout=full,

@@ -443,24 +443,9 @@ def test_links_that_lead_nowhere_become_files(tmp_path):
 def test_labels_do_not_steer_the_terminal(mcrim):
     label = "\x1b[31mred\u202e\x07"
     said = mcrim(
-        "lab",
-        "yield",
-        "--signal",
-        "14±1",
-        "--eta",
-        "0.3±0.01",
-        "--label",
+        *"lab yield --signal 14±1 --eta 0.3±0.01 --label".split(),
         label,
-        "--signal",
-        "15±1",
-        "--eta",
-        "0.3±0.01",
-        "--label",
-        "b",
-        "--efficiency",
-        "0.1±0.01",
-        "--energy-keV",
-        "59",
+        *"--signal 15±1 --eta 0.3±0.01 --label b --efficiency 0.1±0.01 --energy-keV 59".split(),
     )
     assert said.status == 0 and "<U+001B>[31mred<U+202E>" in said.out
     assert not {"\x1b", "\u202e", "\x07"} & {*said.out, *said.err}
@@ -472,17 +457,8 @@ def test_labels_do_not_steer_the_terminal(mcrim):
 ROUNDS, QUICK = (
     4,
     (
-        "scene",
-        "measurements",
-        "campaign",
-        "raw_campaign",
-        "table",
-        "spectrum",
-        "histogram",
-        "relative",
-        "chunk",
-        "results",
-    ),
+        "scene measurements campaign raw_campaign table spectrum histogram relative chunk results"
+    ).split(),
 )
 
 

@@ -13,12 +13,14 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from places import SCENES
+from places import SCENES, cases_of
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.output.photograph import Photograph
 from mcrim_mitsuba.transport.variants import ENVIRONMENT_VARIABLE, selected_llvm
+
+cases = cases_of(__file__)
 
 BENCH = SCENES / "camoo4.xml"
 VERBS = {
@@ -168,13 +170,7 @@ def test_answers_and_fitted_parameters_can_be_copied():
     assert light.eta == copy.deepcopy(light).eta
 
 
-@pytest.mark.parametrize(
-    ("axis", "said"),
-    [
-        ("gap_mm", "--axis gap_mm is not name=value"),
-        ("n_gap=1,2", "--axis n_gap has an option of its own; give --n-gap only"),
-    ],
-)
+@cases("axis", "said")
 def test_axes_that_cannot_be_are_refused(axis, said, mcrim):
     lists = ["--alpha-scat", "0.5", "--alpha-abs", "0.039", "--n-gap", "1"]
     assert said in mcrim.refused("table", BENCH, *lists, "--axis", axis)
@@ -222,22 +218,7 @@ def test_results_are_sent_between_processes():
     assert python(code).split() == ["True", "True"]
 
 
-@pytest.mark.parametrize(
-    "verb, given",
-    [
-        ("table", {"gap_mm": [0.05, 0.1]}),
-        ("eta_map", {"cells": (2, 2, 2)}),
-        ("check", {}),
-        ("crosscheck", {}),
-        ("arrival_times", {}),
-        ("calibrate", {}),
-        ("compare", {}),
-        ("diagnose", {"only": "background"}),
-        ("repair", {}),
-        ("budget", {}),
-        ("plan", {"wanted": 0.2}),
-    ],
-)
+@cases("verb", "given")
 def test_every_result_is_what_it_was_after_pickling(verb, given):
     of_campaign = verb in ("calibrate", "compare", "diagnose", "repair", "budget", "plan")
     source = SCENES / "camoo4_campaign.toml" if of_campaign else BENCH

@@ -9,12 +9,15 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from signal import SIGHUP, SIGINT, SIGTERM
+from signal import SIGINT, SIGTERM
 
 import pytest
+from places import cases_of
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import signals_wait
+
+cases = cases_of(__file__)
 
 #: Runs a command that sends itself a signal: its number, where, and the words of the command.
 COMMAND = """
@@ -34,19 +37,9 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize(
-    ("number", "place", "verb"),
-    [
-        (SIGINT, "mitsuba/python/ad/__init__.py:<module>", ["simulate"]),
-        (SIGTERM, "mitsuba/python/util.py:<module>", ["check"]),
-        (SIGTERM, "plugins/bsdfs.py:Photodetector.__init__", ["simulate"]),
-        (SIGHUP, "plugins/light.py:LightCollectionIntegrator.__init__", ["check"]),
-        (SIGTERM, "loop.py:Loop.step", ["check"]),
-        (SIGINT, "surface_physics.py:interact", ["table", "--n-gap", "1.0", "--photons", "1e5"]),
-        (SIGINT, "mitsuba/python/util.py:render", ["render", "-o", "x.png", "--samples", "1"]),
-    ],
-)
-def test_signals_wait_for_mitsuba(scenes, here, number, place, verb):
+@cases("name", "place", "verb")
+def test_signals_wait_for_mitsuba(scenes, here, name, place, verb):
+    number = signal.Signals[name]
     words = [verb[0], str(scenes / "camoo4.xml"), "--threads", "1", *verb[1:]]
     line = [sys.executable, "-c", COMMAND, str(int(number)), place, *words]
     done = subprocess.run(line, stderr=subprocess.PIPE, text=True, check=False)

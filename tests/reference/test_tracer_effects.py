@@ -333,15 +333,7 @@ def test_chamfered_box_has_its_volume_and_eighteen_faces():
     assert_mean(born[2], 4.0)
 
 
-@pytest.mark.parametrize(
-    "effect",
-    [
-        {"chamfer_mm": 1.5, "polarization": True},
-        {"chamfer_mm": 1.5, "scattering_g": 0.7, "scattering_gradient": 0.9},
-        {"roughness_alpha": 0.3, "polarization": True},
-        {"rms_roughness_nm": 20.0, "rayleigh_scattering": True},
-    ],
-)
+@cases("effect")
 def test_crystals_absorb_from_a_room_what_the_room_absorbs_from_them(effect):
     """Reciprocity: n^2 V / alpha times the part that the other absorbs of even light is the same.
 

@@ -26,13 +26,9 @@ PACKAGE = Path(cache.__file__).parents[1]
 UNITS = [kind.__module__ for kind in (TallyBlock, GridBlock, TableUnit)]
 #: Each decides what some unit makes, and is no near neighbour of it.
 DECIDING = (
-    "scene.check_text",
-    "transport.plugins.bsdfs",
-    "transport.surface_physics",
-    "optics.thin_film",
-    "efficiency.proposals",
-    "efficiency.surface",
-)
+    "scene.check_text transport.plugins.bsdfs transport.surface_physics optics.thin_film "
+    "efficiency.proposals efficiency.surface"
+).split()
 
 
 @pytest.fixture(scope="module")

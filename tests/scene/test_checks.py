@@ -79,14 +79,7 @@ def test_what_is_counted_is_a_detector_of_the_scene(tmp_path):
     assert [str(problem) for problem in check_text.problems_of_counted(file)] == [told]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "line", "says"),
-    [
-        ('"polarization" value="false"', '"polarization" value="yes"', 51, "neither true nor"),
-        ('"gap_mm" value="0.05"', '"gap_mm" value="0.05\u00a0"', 39, "a no-break space (U+00A0)"),
-        ('name="ext_ior" value="1.0"', 'name="ext_ior" value="1.0\u00a0"', 76, "no-break space"),
-    ],
-)
+@cases("old", "new", "line", "says")
 def test_a_value_is_blamed_where_it_was_written(tmp_path, old, new, line, says):
     assert old in TEXT
     path = tmp_path / "bench.xml"

@@ -59,13 +59,7 @@ def test_a_command_on_a_batch_system(system, scenes, tmp_path):
     )
     done = run(
         system,
-        "--jobs",
-        "1",
-        "--cores",
-        "1",
-        "--memory",
-        "2GB",
-        "--",
+        *"--jobs 1 --cores 1 --memory 2GB --".split(),
         *SIMULATE,
         str(scenes / "camoo4.xml"),
         env=fake,

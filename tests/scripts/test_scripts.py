@@ -17,6 +17,7 @@ from mcrim_mitsuba.transport import loop as transport
 cases = cases_of(__file__)
 
 PHOTONS = ["--photons", "50000"]
+ONE_POINT = "--alpha-scat 0.5 --alpha-abs 0.039 --n-gap 1.0".split()
 
 
 @pytest.fixture
@@ -52,12 +53,7 @@ def test_tables_of_all_combinations_and_only_once(scenes, tmp_path, do, cache):
     folder = tmp_path / "tables"
     line = [
         tmp_path / "camoo4.xml",
-        "--alpha-scat",
-        "0.1,0.5",
-        "--alpha-abs",
-        "0.039",
-        "--n-gap",
-        "1.0",
+        *"--alpha-scat 0.1,0.5 --alpha-abs 0.039 --n-gap 1.0".split(),
         *PHOTONS,
         "-o",
         folder,
@@ -91,12 +87,7 @@ def test_a_table_that_is_refused_stops_no_other(scenes, tmp_path, do):
     status, out, err = do(
         eta_tables,
         scenes / "camoo4.xml",
-        "--alpha-scat",
-        "0.5",
-        "--alpha-abs",
-        "0.039",
-        "--n-gap",
-        "1.0",
+        *ONE_POINT,
         "-D",
         "gap_mm=50,0.05",
         *PHOTONS,
@@ -119,12 +110,7 @@ def test_an_interrupted_table_is_no_table(scenes, tmp_path, do, monkeypatch):
     status, out, err = do(
         eta_tables,
         scenes / "camoo4.xml",
-        "--alpha-scat",
-        "0",
-        "--alpha-abs",
-        "0.039",
-        "--n-gap",
-        "1.0",
+        *"--alpha-scat 0 --alpha-abs 0.039 --n-gap 1.0".split(),
         *PHOTONS,
         "-o",
         tmp_path,
@@ -142,18 +128,7 @@ def test_slips_are_found_before_anything_is_simulated(
     (tmp_path / "camoo4.xml").write_text((scenes / "camoo4.xml").read_text())
     monkeypatch.chdir(tmp_path)
     status, out, err = do(
-        eta_tables,
-        scenes / "camoo4.xml",
-        "--alpha-scat",
-        "0.5",
-        "--alpha-abs",
-        "0.039",
-        "--n-gap",
-        "1.0",
-        "-o",
-        tmp_path / "tables",
-        *PHOTONS,
-        *further,
+        eta_tables, scenes / "camoo4.xml", *ONE_POINT, "-o", tmp_path / "tables", *PHOTONS, *further
     )
     assert status == 2
     # what a table refuses is said in its line
@@ -170,19 +145,7 @@ def test_a_variation_may_name_materials(scenes, tmp_path):
 def test_what_is_no_table_is_not_replaced(scenes, tmp_path, do):
     measured = tmp_path / "camoo4.csv"
     measured.write_text("# photons, events\n1,2\n")
-    status, out, err = do(
-        eta_tables,
-        scenes / "camoo4.xml",
-        "--alpha-scat",
-        "0.5",
-        "--alpha-abs",
-        "0.039",
-        "--n-gap",
-        "1.0",
-        "-o",
-        tmp_path,
-        *PHOTONS,
-    )
+    status, out, err = do(eta_tables, scenes / "camoo4.xml", *ONE_POINT, "-o", tmp_path, *PHOTONS)
     assert (status, out) == (2, "") and err.count("\n") == 1
     assert f"{measured}: there is a file of this name, and it is no result of this script" in err
     assert measured.read_text() == "# photons, events\n1,2\n"

@@ -282,17 +282,7 @@ def test_a_thicker_gap_is_a_thicker_gap(write):
     )
 
 
-@pytest.mark.parametrize(
-    ("effects", "overrides"),
-    [
-        (("chamfer",), {}),
-        (("chamfer", "bubble", "thickness", "reflector"), {"n_gap": 1.46}),
-        (("bubble",), {"n_gap": 1.515, "aperture_radius_mm": 5}),
-        (("chamfer", "creep"), {"n_gap": 1.46, "aperture_radius_mm": 8, "polarization": True}),
-        (("round", "creep", "thickness"), {"n_gap": 1.333, "gap_mm": 0.4, "aperture_radius_mm": 4}),
-    ],
-    ids=["chamfer", "all", "bubble", "creep", "round"],
-)
+@cases("effects", "overrides")
 def test_both_paths_follow_light_alike(write, effects, overrides):
     """Mitsuba asks faces for their bounds, the fast path planes: what comes out agrees."""
     simulation = loaded(write(*effects), **overrides)

@@ -341,7 +341,7 @@ def test_more_photons_later_are_the_same_as_at_once(bench):
     request = EtaRequest("x", bench, [(0.2, 0.039), (1.0, 0.039)], Run(seed=4))
     at_once, later = extended(request, 262_144), extended(request, 65_536, 262_144)
     assert at_once.photons == later.photons == 262_144
-    points = [run.surface.evaluate(0.54, 0.039) for run in (at_once, later)]
+    points = [run.surfaces[0].evaluate(0.54, 0.039) for run in (at_once, later)]
     assert points[0].eta == pytest.approx(points[1].eta, rel=1e-7)
     assert points[0].sigma == pytest.approx(points[1].sigma, rel=1e-4)
 
@@ -402,7 +402,7 @@ def test_cache_knows_what_determines_records(bench, tmp_path, monkeypatch):
 
     first, again = run(), run()
     assert (first.cached_photons, again.cached_photons) == (0, LANES)
-    assert first.surface.evaluate(0.5, 0.045) == again.surface.evaluate(0.5, 0.045)
+    assert first.surfaces[0].evaluate(0.5, 0.045) == again.surfaces[0].evaluate(0.5, 0.045)
     assert run(photons=6 * LANES).cached_photons == 0  # another first launch
     for changed in (
         {"overrides": {"n_gap": 1.46}},

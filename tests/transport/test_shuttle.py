@@ -7,12 +7,15 @@ Statistical tests have fixed seeds; right programs fail this file in one run of 
 import numpy as np
 import pytest
 from comparisons import assert_same_light, z_score
+from places import cases_of
 
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation
+
+cases = cases_of(__file__)
 
 Z = 4.0
 
@@ -25,18 +28,7 @@ def mirrored(scenes, *effects, **values) -> Simulation:
     return Simulation(scene, {"wrap_specular": 1.0, **values}, check=False)
 
 
-@pytest.mark.parametrize(
-    ("effects", "values", "goes"),
-    [
-        ((), {}, True),
-        ((), {"wrap_specular": 0.9}, False),
-        ((), {"film_mm": 1.1}, False),
-        (("wrap_contact",), {}, False),
-        (("wrap_missing",), {}, False),
-        (("scattering_gradient",), {}, False),
-        (("side_roughness",), {}, False),
-    ],
-)
+@cases("effects", "values", "goes")
 def test_it_takes_mirrors_before_whole_polished_faces(scenes, effects, values, goes):
     path = mirrored(scenes, *effects, **values).launcher().path
     assert (path.shuttle is not None) == goes

@@ -9,6 +9,7 @@ import json
 import numpy as np
 import pytest
 from comparisons import assert_all_light_is_told, assert_compatible
+from places import cases_of
 from refusals import refusal
 from scipy.special import expn
 from scipy.stats import kstest
@@ -23,6 +24,8 @@ from mcrim_mitsuba.efficiency.table import eta_table
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 from mcrim_mitsuba.transport.simulation import Simulation
+
+cases = cases_of(__file__)
 
 Z = 4.0
 LENGTH = 100.0
@@ -184,26 +187,13 @@ def test_readings_of_both_ends_find_the_absorption_from_one_simulation(mirrors, 
     assert (etas[0] > etas[1]).all()
 
 
-@pytest.mark.parametrize(
-    ("row", "words"),
-    [
-        ("a,1,0.1,30,lef", "line 2, column detector: detector = 'lef' is the id of no shape"),
-        ("a,1,0.1,30,", "column detector: the cell is empty"),
-    ],
-)
+@cases("row", "words")
 def test_a_reading_of_a_detector_that_is_not_there(mirrors, tmp_path, row, words):
     said = refusal(read_campaign, _campaign(tmp_path, row))
     assert words in said and ("did you mean left?" in said) == ("lef" in row)
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"detector": "rihgt"}, "did you mean right?"),
-        ({"source_z_mm": 100.2}, "from 100.1 to 100.3 mm above the crystal's bottom"),
-        ({"source_z_mm": 120.0}, "a slab within 0 to 100 mm"),
-    ],
-)
+@cases("given", "words")
 def test_what_the_scene_cannot_count_or_light(mirrors, given, words):
     assert words in refusal(Simulation, mirrors, given)
 

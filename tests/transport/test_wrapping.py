@@ -7,6 +7,7 @@ seeds and compare at z < 4: right programs fail this file in one run of 500.
 import numpy as np
 import pytest
 from comparisons import assert_compatible, assert_same_light
+from places import cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.core.run import Run
@@ -14,6 +15,8 @@ from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.reference.crosscheck import crosscheck
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.simulation import Simulation
+
+cases = cases_of(__file__)
 
 Z = 4.0
 WIDTH, HEIGHT, FILM = 10.0, 20.0, 0.02
@@ -184,35 +187,7 @@ def test_what_is_within_the_wrapping_touches_it_and_no_more(scenes):
     ]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ('name="c" value="0.1"', 'name="c" value="1.5"', "contact is 1.5; give 0 to 1"),
-        ('name="s" value="0"', 'name="s" value="-1"', "specular is -1; give 0 to 1"),
-        ('name="film" value="0.02"', 'name="film" value="-1"', "film 0 or more"),
-        (_ACROSS, f'{_ACROSS}<string name="without" value="lid"/>', "top, sides, right, back"),
-        (_ACROSS, f'{_ACROSS}<string name="without" value="none top"/>', "alone; leave it out"),
-        ('"height" value="20"', '"height" value="19"', "reaches 1 mm beyond the top of wrapping"),
-        (_ACROSS, _ACROSS.replace("10", "9"), "reaches 0.5 mm beyond the sides of wrapping"),
-        (_ACROSS, _ACROSS + '<float name="diameter" value="10"/>', "or the diameter of a cylinder"),
-        (_ACROSS, '<float name="diameter" value="10"/>', "mm beyond the sides of wrapping"),
-        (
-            _ACROSS,
-            f'{_ACROSS}<transform name="to_world"><rotate y="1" angle="90"/></transform>',
-            "around a cylinder that lies write",
-        ),
-        ('<spectrum name="reflectance" value="$rho"/>', "", "let it wear"),
-        ('value="$rho"', 'value="97"', "reflectance is 97: a reflectance lies between 0 and 1"),
-        ('value="$rho"', 'value="-0.97"', "reflectance is -0.97"),
-        ('value="$rho"', 'value="0,97"', "decimal comma; write a decimal point: 0.97"),
-        ('value="$rho"', 'value="97%"', "write a fraction: 0.97"),
-        (
-            'name="interior" id="crystal"',
-            'name="exterior" id="crystal"',
-            "turn the face around: its normal",
-        ),
-    ],
-)
+@cases("old", "new", "says")
 def test_what_cannot_touch_is_refused(tmp_path, old, new, says):
     text = _cavity("box").replace('name="c" value="0"', 'name="c" value="0.1"')
     assert old in text
@@ -273,16 +248,7 @@ def _from_air(index: float) -> float:
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize(
-    "numbers",
-    [
-        {"film": 2.0, "rho": 0.99},
-        {"film": 2.0, "rho": 0.99, "c": 0.2, "s": 0.3},
-        {"film": 0.0, "rho": 0.996},
-        {"film": 0.0, "rho": 0.99, "without": "sides"},
-    ],
-    ids=["film", "contact", "paint", "painted top"],
-)
+@cases("numbers")
 def test_an_integrating_cavity_shares_its_light_by_areas(cavity, form, numbers):
     """Light that has gone round often is as bright all over, n^2 brighter in the crystal.
 

@@ -14,7 +14,7 @@ from mcrim_mitsuba.cli.options import Number, NumberWithError, Precision, WithEr
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import READS, attributes, collected
 from mcrim_mitsuba.core.numbers import LARGEST_PER_KEV, LEAST_KEV
-from mcrim_mitsuba.laboratory.error_budget import ErrorBudget
+from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, Uncertain, budget_of, common_value
 from mcrim_mitsuba.output import describe_laboratory
 from mcrim_mitsuba.output.registry import VerbResult
 from mcrim_mitsuba.scene.values import parse_list, told_of_comma
@@ -62,7 +62,6 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
 
     Yields of several couplings are combined: counts are independent, all else is common.
     """
-    from mcrim_mitsuba.laboratory.error_budget import Uncertain, budget_of, common_value
     from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
 
     def common(number: NumberWithError, origin: str) -> Uncertain:
@@ -160,7 +159,6 @@ def relative(file, json_file) -> None:
     errors, parts of those, that move both crystals alike: they cancel. An example is
     scenes/cawo4_reference.toml.
     """
-    from mcrim_mitsuba.laboratory.error_budget import budget_of
     from mcrim_mitsuba.laboratory.light_yield import read_comparison
 
     showing.refuse_places(json_file, [file])

@@ -13,6 +13,9 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.optics.emission_band import index_over
+from mcrim_mitsuba.optics.materials import catalogue, material
+from mcrim_mitsuba.optics.spectrum import detected_light
 from mcrim_mitsuba.output import describe_laboratory
 from mcrim_mitsuba.output.registry import VerbResult, laboratory_figures
 from mcrim_mitsuba.scene.values import SEPARATOR, material_at
@@ -170,7 +173,6 @@ def _numbers_or_files(transmittance: tuple[str, ...], index: str) -> tuple[list[
 
 def _light(emission: str | None, quantum_efficiency: str | None):
     """The light that the coefficient is averaged over, None without a spectrum; and notes."""
-    from mcrim_mitsuba.optics.spectrum import detected_light
     from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 
     if emission is None:
@@ -186,9 +188,6 @@ def _index(text: str, light, wavelength_nm: float | None):
     """The index, a number or a function of the wavelength; its error, and notes."""
     if _INDEX_LIKE.fullmatch(text.strip()):
         return parse_number("--n", text), 0.0, []
-    from mcrim_mitsuba.optics.emission_band import index_over
-    from mcrim_mitsuba.optics.materials import material
-
     if light is not None:
         band = index_over(text, light)
         return band.material.held_index, band.sigma, list(band.notes)
@@ -266,8 +265,6 @@ def _as_in_scenes(
 
 def _catalogue(wavelength_nm: float) -> VerbResult:
     """All materials with their indices at a wavelength; None beyond a formula's range."""
-    from mcrim_mitsuba.optics.materials import catalogue
-
     covered = {crystal: crystal.ordinary.covers(wavelength_nm) for crystal in catalogue()}
     indices = {c: float(c.index(wavelength_nm)) if there else None for c, there in covered.items()}
     materials = [{**_json(crystal), "n": n} for crystal, n in indices.items()]
@@ -278,8 +275,6 @@ def _catalogue(wavelength_nm: float) -> VerbResult:
 
 def _at(name: str, wavelength_nm: float) -> VerbResult:
     """The index at one wavelength."""
-    from mcrim_mitsuba.optics.materials import material
-
     crystal = material(name)
     n, difference = float(crystal.index(wavelength_nm)), float(crystal.birefringence(wavelength_nm))
     ordinary = float(crystal.ordinary.index(wavelength_nm, crystal.name))
@@ -302,7 +297,6 @@ def _at(name: str, wavelength_nm: float) -> VerbResult:
 
 def _over(name: str, emission: str) -> VerbResult:
     """The index over an emission spectrum."""
-    from mcrim_mitsuba.optics.emission_band import index_over
     from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 
     spectrum = read_spectrum(emission, "emission")

@@ -188,11 +188,8 @@ class ScintillationEmitter(mi.Emitter):
 
         `sample1` gives the third coordinate that `sample2` lacks: light is monochromatic here.
 
-        Raises
-        ------
-        InputError
-            The crystal cannot be lit so. Where Dr.Jit records calls it asks every living emitter,
-            those of other scenes too: there such an emitter's rays are not a number.
+        Raises InputError if the crystal cannot be lit so. Where Dr.Jit records calls it asks every
+        living emitter, those of other scenes too: there such an emitter's rays are not a number.
         """
         # This thread may be recording a call to the emitter, and can read nothing from shapes then.
         # The crystal is kept while its rays are used; of its shapes none holds this emitter.
