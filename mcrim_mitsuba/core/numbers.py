@@ -177,9 +177,10 @@ SHORTEST_GAP_MM = 1e-3
 LONGEST_GAP_MM = 10.0
 #: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
 LARGEST_PER_CM = 100.0
-#: Of lines that scintillators are read with: X-rays to cosmic muons in a large crystal. Below it,
-#: MeV are the likely unit.
-LEAST_KEV, LARGEST_KEV = 1.0, 1e6
+#: Of lines that scintillators are read with, X-rays and above; below it, MeV are the likely unit.
+LEAST_KEV = 1.0
+#: And cosmic muons in a large crystal.
+LARGEST_KEV = 1e6
 #: No crystal makes more photons per keV than one for each 3 eV; counts are no photons, or MeV no
 #: keV.
 LARGEST_PER_KEV = 330.0
