@@ -200,6 +200,12 @@ class Planning:
         """The set of configurations that could become most precise, and how precise."""
         return min(self.floors.items(), key=lambda item: (item[1].total, len(item[0])))
 
+    def number(self, configurations: Sequence[int]) -> str:
+        """``1 + 3``, places among `candidates`; the `name` where these differ in one number."""
+        if len({name for at in self.candidates for name in at.parameters}) == 1:
+            return self.name(configurations)
+        return " + ".join(str(place + 1) for place in configurations)
+
     def name(self, configurations: Sequence[int]) -> str:
         """``gap index 1, 1.46``."""
         chosen = [self.candidates[i] for i in configurations]

@@ -892,7 +892,7 @@ def plan(
     PlanResult
         With ``cheapest``, ``plans``, ``capability``, ...; picture ``plan``.
     """
-    from mcrim_mitsuba.inference.plan import plan as plan_measurement
+    from mcrim_mitsuba.inference.plan import plan as plan_of
     from mcrim_mitsuba.output.campaign_results import PlanResult
 
     campaign = _read(campaign)
@@ -909,9 +909,7 @@ def plan(
     }
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     wanted = _above_0("wanted", wanted, "relative error")
-    planning = plan_measurement(
-        campaign, wanted, conditions=conditions, anew=anew, run=run, **choices
-    )
+    planning = plan_of(campaign, wanted, conditions=conditions, anew=anew, run=run, **choices)
     return PlanResult(**fields_of(planning), title=campaign.title, seed=run.seed)
 
 

@@ -192,6 +192,12 @@ def test_readings_so_far_count(article, without_photons):
         both = [expected.light_yield.total, expected.alpha_scat.total]
         assert both == pytest.approx(fitted(*chosen), rel=2e-3)
         assert expected.light_yield.total < planned.so_far.total
+    # sets of long names go by numbers in tables
+    assert planned.number((0, 1)) == "gap index 1, 1.333"
+    candidates = (
+        replace(of, parameters={**of.parameters, "top": 1.0}) for of in planned.candidates
+    )
+    assert replace(planned, candidates=tuple(candidates)).number((0, 1)) == "1 + 2"
     assert verdict(replace(planned, wanted=1.01 * so_far)) == (
         f"The readings so far have the light yield to {percent(so_far)}: enough.",
     )
