@@ -73,7 +73,7 @@ def rows(shrunk: float = 1.0) -> tuple[FittedRow, ...]:
 
 
 #: The campaign of what is made by hand: nothing was added to it.
-AS_IT_CAME = SimpleNamespace(remark="", quotes_another=False)
+AS_IT_CAME = SimpleNamespace(remark="", yield_to_quote="")
 #: A fit made by hand has no model, and no profiles.
 NONE = np.zeros((0, 0))
 MINIMUM = cast(

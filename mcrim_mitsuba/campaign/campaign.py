@@ -201,9 +201,9 @@ class Campaign:
         return len(self.measurements.in_use) + len(self.priors) - len(self.free)
 
     @property
-    def quotes_another(self) -> bool:
-        """Whether it was mended, and its remark has the light yield to quote."""
-        return schema.QUOTED in self.remark
+    def yield_to_quote(self) -> str:
+        """The light yield to quote, in words, where repair wrote it into the remark; else empty."""
+        return self.remark.partition(f"{schema.QUOTED}, ")[2].partition(" (")[0]
 
     def with_starts(self, values: Mapping[str, float]) -> Campaign:
         """The campaign with other starts of its fit, drawn into the bounds; others stay."""

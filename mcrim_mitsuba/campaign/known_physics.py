@@ -163,12 +163,15 @@ def with_known_physics(campaign: Campaign) -> Campaign:
         campaign.catalogue[effect].title + "".join(f" ({n} = {v:.4g})" for n, v in sizes.items())
         for effect, sizes in crystal.effects.items()
     ]
+    named = f"{name} and {campaign.light_yield.energy_keV:g} keV are named"
+    begin, but = f"in the model, as {named}: ", "but not "
+    if not words:
+        begin, but = f"not in the model, though {named}: ", ""
     words += [
-        f"but not {campaign.catalogue[effect].title}: {reason}"
+        f"{but}{campaign.catalogue[effect].title}: {reason}"
         for effect, reason in crystal.refused.items()
         if reason != _IN_THE_MODEL
     ]
-    begin = f"in the model, as {name} and {campaign.light_yield.energy_keV:g} keV are named: "
     scene, effects = crystal.put_into(campaign.scene, *crystal.effects), tuple(crystal.effects)
     note = begin + "; ".join(words) if words else ""
     return replace(campaign, scene=scene, known_physics=effects, physics_note=note)

@@ -200,6 +200,12 @@ class Planning:
         """The set of configurations that could become most precise, and how precise."""
         return min(self.floors.items(), key=lambda item: (item[1].total, len(item[0])))
 
+    def number(self, configurations: Sequence[int]) -> str:
+        """``1 + 3``, places among `candidates`; the `name` where these differ in one number."""
+        if len({name for at in self.candidates for name in at.parameters}) == 1:
+            return self.name(configurations)
+        return " + ".join(str(place + 1) for place in configurations)
+
     def name(self, configurations: Sequence[int]) -> str:
         """``gap index 1, 1.46``."""
         chosen = [self.candidates[i] for i in configurations]
@@ -332,11 +338,12 @@ def _configurations(campaign: Campaign, n_gap: Sequence[float] | None) -> list[d
         listed = by_hand & campaign.next_measurements.keys()
         cells = buildable(campaign) if listed else measured
         cells = [row for place, row in enumerate(cells) if row not in cells[:place]]
-        if listed or 1 < len(cells) <= PLANNING.most_configurations:
-            return _few(cells, "list fewer in [next_measurements]")
         nominal = campaign.scene.parameters.get(GAP_INDEX, 1.0)
-        n_gap = [float(row.get(GAP_INDEX, nominal)) for row in cells]
-        n_gap = n_gap if len({*n_gap}) > 1 else PLANNING.n_gap
+        couplings = [float(row.get(GAP_INDEX, nominal)) for row in cells]
+        few = len(cells) <= PLANNING.most_configurations or len({*couplings}) == 1
+        if listed or (few and len(cells) > 1):
+            return _few(cells, "list fewer in [next_measurements], or give couplings in --n-gap")
+        n_gap = couplings if len(cells) > 1 else PLANNING.n_gap
     # what rows switch is as in the first
     switches = {name: measured[0][name] for name in campaign.measurements.switches}
     return [{GAP_INDEX: value, **switches} for value in _couplings(campaign, n_gap)]

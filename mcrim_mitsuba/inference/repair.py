@@ -166,7 +166,7 @@ def remark_of(diagnosis: Diagnosis, effects: Sequence[str]) -> str:
     sentence = f"{names} {'were' if len(effects) > 1 else 'was'} added by repair"
     sentence += f" ({', '.join(words)})" if words else ""
     sentence += ": what a fit of this file gives holds for this one model"
-    if averaged is not None and not campaign.quotes_another:
+    if averaged is not None and not campaign.yield_to_quote:
         sentence += f", and {QUOTED}, {averaged}"
     users = campaign.remark[: LONGEST_REMARK - len(sentence) - 2]
     return "; ".join(filter(None, (users, sentence)))

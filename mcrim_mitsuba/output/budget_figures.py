@@ -289,7 +289,7 @@ def draw_plan(planning: Planning) -> style.Drawing:
     for (couplings, covered), (line, colour) in zip(drawn.items(), looks, strict=False):
         look = {"color": colour, "ls": line, "lw": 1.6, "marker": "o", "ms": 3.5}
         events = [plan.events for plan in plans[couplings]]
-        label = style.shortened(planning.name(couplings), 44)
+        label = style.shortened(planning.number(couplings), 44)
         label += f", and {covered} alike" if covered else ""
         statistical.plot(events, curves[couplings][0], label=label, **look)
         total.plot(events, curves[couplings][1], **look)

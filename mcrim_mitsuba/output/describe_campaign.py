@@ -870,9 +870,10 @@ def of_plan(planning: Planning) -> Description:
         f"{sentences.title_of(name)} {pdg(estimate.value, estimate.sigma)}"
         for name, estimate in planning.solution.items()
     )
+    numbers = {c.name: planning.number([place]) for place, c in enumerate(planning.candidates)}
     # an event's error over the root of 10,000
     signals = (
-        Column("configuration", of="name"),
+        Column("configuration", of=lambda c: " ".join(dict.fromkeys((numbers[c.name], c.name)))),
         Column("photons per event", form=".1f", of="signal"),
         Column(
             "error of 10,000 events", of=lambda c: shown(c.event_sigma / c.signal / 100, percent)
@@ -880,13 +881,13 @@ def of_plan(planning: Planning) -> Description:
     )
     # of a set of couplings and its expected error
     floors = (
-        Column("configurations", of=lambda floor: planning.name(floor[0])),
+        Column("configurations", of=lambda floor: planning.number(floor[0])),
         Column("total", of=lambda floor: shown(floor[1].total, percent)),
         Column("priors", of=lambda floor: shown(floor[1].priors, percent)),
         Column("detector efficiency", of=lambda floor: shown(floor[1].efficiency, percent)),
     )
     plans = (
-        Column("configurations", of=lambda plan: planning.name(plan.configurations)),
+        Column("configurations", of=lambda plan: planning.number(plan.configurations)),
         Column("mountings", form="d"),
         Column("events", form=",.0f"),
         Column("hours", form=".1f"),
@@ -898,11 +899,8 @@ def of_plan(planning: Planning) -> Description:
         ),
     )
     assumed = planning.conditions
-    so_far, undetermined = "", "; ".join(map(planning.name, planning.undetermined))
-    if (now := planning.so_far) is not None:
-        so_far = (
-            f"The readings so far, which count in all plans: light yield to {percent(now.total)}"
-        )
+    now, undetermined = planning.so_far, "; ".join(map(planning.name, planning.undetermined))
+    so_far = f"The readings so far count: light yield to {percent(now.total)}" if now else ""
     sets = sorted(planning.floors.items(), key=lambda floor: (len(floor[0]), floor[1].total))
     beats = "plans that no cheaper one beats (relative errors)"
     efficient = planning.efficient[-_MOST_PLANS:]

@@ -910,7 +910,7 @@ def plan(
     PlanResult
         With ``cheapest``, ``plans``, ``capability``, ...; picture ``plan``.
     """
-    from mcrim_mitsuba.inference.plan import plan as plan_measurement
+    from mcrim_mitsuba.inference.plan import plan as plan_of
     from mcrim_mitsuba.output.campaign_results import PlanResult
 
     campaign = _read(campaign)
@@ -929,9 +929,7 @@ def plan(
         raise InputError(f"there is no value of {name}", "give one at least")
     run = _run_of(run, **fields)
     wanted = _above_0("wanted", wanted, "relative error")
-    planning = plan_measurement(
-        campaign, wanted, conditions=conditions, anew=anew, run=run, **choices
-    )
+    planning = plan_of(campaign, wanted, conditions=conditions, anew=anew, run=run, **choices)
     return PlanResult(**fields_of(planning), title=campaign.title, seed=run.seed)
 
 

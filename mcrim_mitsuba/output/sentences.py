@@ -249,9 +249,10 @@ def averaged_yield(
 
 def quoted(diagnosis: Diagnosis) -> str:
     """Whether the averaged light yield is to be quoted: of a mended campaign its remark has it."""
-    if not diagnosis.baseline.model.campaign.quotes_another:
+    other = diagnosis.baseline.model.campaign.yield_to_quote
+    if not other:
         return "the one to quote"
-    return "given what was added; the one to quote is that of the remark"
+    return f"given what repair added; the one to quote is that of the remark, {other}"
 
 
 def shares_text(diagnosis: Diagnosis) -> str:

@@ -45,6 +45,10 @@ LIGHT_YIELD = "light_yield_ph_per_keV"
 TWO = {"n_gap": [1.0, 1.46], "mountings": [4], "events": [1e4], "anew": True}
 
 
+#: Usual couplings.
+LIQUIDS = 1.0, 1.333, 1.46, 1.515
+
+
 def formulas(parameters):
     """Efficiency as a formula of both coefficients and the coupling, without any error."""
     filled = parameters["n_gap"] - 1
@@ -188,6 +192,12 @@ def test_readings_so_far_count(article, without_photons):
         both = [expected.light_yield.total, expected.alpha_scat.total]
         assert both == pytest.approx(fitted(*chosen), rel=2e-3)
         assert expected.light_yield.total < planned.so_far.total
+    # sets of long names go by numbers in tables
+    assert planned.number((0, 1)) == "gap index 1, 1.333"
+    candidates = (
+        replace(of, parameters={**of.parameters, "top": 1.0}) for of in planned.candidates
+    )
+    assert replace(planned, candidates=tuple(candidates)).number((0, 1)) == "1 + 2"
     assert verdict(replace(planned, wanted=1.01 * so_far)) == (
         f"The readings so far have the light yield to {percent(so_far)}: enough.",
     )
@@ -209,11 +219,15 @@ def test_what_is_planned_is_what_the_bench_was_measured_with(scenes, tmp_path):
     assert cells(lid) == [{"n_gap": 1.5, **of} for of in (state[1], state[0])]
     gaps = f"[next_measurements]\ngap_mm = {[0.01 * i for i in range(1, 10)]}\n"
     assert "9 configurations have too many" in refusal(cells, gaps)
+    # of one coupling, at seven places and both ends
+    bar = read_campaign(scenes / "plastic_bar.toml")
+    assert "14 configurations have too many" in refusal(measuring._configurations, bar, None)
+    many = read_campaign(scenes / "camoo4_misfit.toml")
+    assert [row["n_gap"] for row in measuring._configurations(many, None)] == list(LIQUIDS)
     article = read_campaign(scenes / "camoo4_campaign.toml")
     (air, _) = article.measurements.readings
     dry = replace(article, measurements=replace(article.measurements, readings=(air,)))
-    usual = [{"n_gap": n} for n in (1.0, 1.333, 1.46, 1.515)]
-    assert measuring._configurations(dry, None) == usual
+    assert measuring._configurations(dry, None) == [{"n_gap": n} for n in LIQUIDS]
 
 
 def test_tolerances_are_in_a_plan_as_in_the_fit_of_its_readings(scenes, tmp_path):

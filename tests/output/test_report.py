@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from findings_by_hand import FIRST, MENDED, SECOND, calibration, diagnosis, estimate, quick_report
 from lxml import html
+from places import SCENES
 from refusals import refusal
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
@@ -175,7 +176,7 @@ def test_the_verdict_has_the_numbers_of_the_fit_that_is_quoted():
 
 def test_a_mended_campaign_keeps_its_remark_and_the_yield_to_quote():
     """A remark was lost, and a diagnosis of the mended file called its own yield that to quote."""
-    own = SimpleNamespace(remark="kept in the dark", quotes_another=False)
+    own = replace(read_campaign(SCENES / "camoo4_campaign.toml"), remark="kept in the dark")
     explained = diagnosis("ambiguous")
     assert "readings allow: the one to quote; the best" in averaged_yield(explained)
 
@@ -188,13 +189,15 @@ def test_a_mended_campaign_keeps_its_remark_and_the_yield_to_quote():
     assert first.startswith("kept in the dark; absorbing crystal surface was added by repair (the ")
     assert first.count(QUOTED) == 1 and str(explained.light_yield_averaged) in first
     # the averaged yield of the mended file takes for granted what was added
-    mended = of(SimpleNamespace(remark=first, quotes_another=QUOTED in first))
+    mended = of(replace(own, remark=first))
     words = averaged_yield(mended)
-    assert "given what was added; the one to quote is that of the remark; the best" in words
+    assert (
+        "given what repair added; the one to quote is that of the remark, 7.7 ± 0.9 ph/keV; the"
+        in words
+    )
     second = remark_of(mended, (SECOND,))
     assert second.startswith(f"{first}; ") and second.count(QUOTED) == 1
-    long = SimpleNamespace(remark="a" * LONGEST_REMARK, quotes_another=False)
-    whole = remark_of(of(long), (FIRST,))
+    whole = remark_of(of(replace(own, remark="a" * LONGEST_REMARK)), (FIRST,))
     assert len(whole) == LONGEST_REMARK and whole.endswith(first.partition("; ")[2])
 
 
