@@ -393,8 +393,8 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
 
 def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:
     """Refuse what no fit could determine, and a spectrum of several crystals."""
-    known = [of.energy_keV for _, of in campaign.light_yields.values()]
-    campaign.measurements.refuse_other_units(known)
+    energies = [of.energy_keV for _, of in campaign.light_yields.values()]
+    campaign.measurements.refuse_other_units(energies)
     # fitted scales of which no reading in use says anything
     used = campaign.measurements.in_use
     read = {campaign.parameter_of(r, SCALE) for r in used if not r.of_beam}

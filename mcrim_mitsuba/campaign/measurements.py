@@ -127,10 +127,10 @@ class Measurements:
         """The error to raise about a cell, or about a row."""
         return InputError(problem, mend, path=self.path, line=row.line, column=column)
 
-    def refuse_other_units(self, known: Collection[float] = ()) -> None:
-        """Refuse energies so far apart, those `known` too (keV), that one is in another unit."""
+    def refuse_other_units(self, others_keV: Collection[float] = ()) -> None:
+        """Refuse energies so far apart, `others_keV` too, that one is in another unit."""
         rows = {row.energy_keV: row for row in self.readings if row.energy_keV is not None}
-        energies = [*rows, *known]
+        energies = [*rows, *others_keV]
         if rows and max(energies) > _WIDEST_ENERGIES * min(energies):
             row, both = rows.get(min(energies)) or rows[max(rows)], (min(energies), max(energies))
             problem = "{} = {:g} beside {:g}: these are hardly one unit".format(ENERGY, *both)

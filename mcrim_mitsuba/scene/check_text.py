@@ -283,15 +283,15 @@ def _problems_of_media(file: SceneFile) -> Iterator[SceneProblem]:
     for shape in file.parts.shapes:
         face = _dielectric_of(file, shape)
         for medium, side in zip(file.parts.media(shape), ("int_ior", "ext_ior"), strict=True):
-            own = None if medium is None else medium.named("index")
+            nominal = None if medium is None else medium.named("index")
             index = None if face is None else face.named(side)
-            if medium is None or own is None or index is None:
+            if medium is None or nominal is None or index is None:
                 continue
-            if abs(_nominal(own) - _nominal(index)) > 1e-6:
-                text = f"{medium.label} has the index {_nominal(own):g}, but {shape.label} "
+            if abs(_nominal(nominal) - _nominal(index)) > 1e-6:
+                text = f"{medium.label} has the index {_nominal(nominal):g}, but {shape.label} "
                 text += f"(line {index.sourceline}) gives it {_nominal(index):g}"
                 mend = "let both name the same index"
-                yield SceneProblem("index", text, mend, *file.place_of(own))
+                yield SceneProblem("index", text, mend, *file.place_of(nominal))
 
 
 #: What Mitsuba takes where a plugin is not told its most important numbers.

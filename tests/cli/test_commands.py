@@ -194,7 +194,10 @@ def test_impossible_outputs_are_refused_before_any_work(mcrim, monkeypatch, camp
     cases += FIGURES if verb in DIAGNOSES else []
     before = {path: path.read_bytes() for path in Path().iterdir()}
     for options, words in cases:
-        typed = READS[verb][:1] if not options else [*READS[verb], *options]
+        reads = READS[verb]
+        if options and options[0] in reads:  # it may be given once
+            reads = reads[: reads.index(options[0])]
+        typed = [*reads, *options] if options else reads[:1]
         assert words in mcrim.refused(verb, *typed), options
     if verb in DIAGNOSES:
         assert "no such file" in mcrim.refused(verb, "nothing.toml", *READS[verb][1:])
