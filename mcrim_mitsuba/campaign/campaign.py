@@ -15,12 +15,7 @@ from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.calibration import CommonErrors
 from mcrim_mitsuba.campaign.entries import choice, number_within
 from mcrim_mitsuba.campaign.known_physics import with_known_physics
-from mcrim_mitsuba.campaign.measurements import (
-    Measurements,
-    Reading,
-    read_table,
-    refuse_other_units,
-)
+from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_table
 from mcrim_mitsuba.campaign.parameter import (
     SCALE,
     CampaignParameter,
@@ -403,8 +398,8 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
 
 def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:
     """Refuse what no fit could determine, and a spectrum of several crystals."""
-    known = [of.energy_keV for _, of in campaign.light_yields.values()]
-    refuse_other_units(campaign.measurements, known)
+    energies = [of.energy_keV for _, of in campaign.light_yields.values()]
+    campaign.measurements.refuse_other_units(energies)
     # fitted scales of which no reading in use says anything
     used = campaign.measurements.in_use
     read = {campaign.parameter_of(r, SCALE) for r in used if not r.of_beam}

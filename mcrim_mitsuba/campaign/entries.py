@@ -10,14 +10,7 @@ import operator
 from typing import Any
 
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.core.numbers import (
-    ALPHA_ABS,
-    ALPHA_SCAT,
-    COUNTED,
-    LARGEST_KEV,
-    LARGEST_PER_KEV,
-    LEAST_KEV,
-)
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, COUNTED, ENERGIES_KEV, LARGEST_PER_KEV
 from mcrim_mitsuba.core.toml_document import TomlTable
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.laboratory.peak import SHAPES
@@ -142,7 +135,7 @@ GAMMAS: Entries = {
 #: Of ``[light_yield]``.
 YIELD: Entries = {
     "energy_keV": _number(
-        "Energy deposited per event, keV", minimum=LEAST_KEV, maximum=LARGEST_KEV
+        "Energy deposited per event, keV", minimum=ENERGIES_KEV[0], maximum=ENERGIES_KEV[1]
     ),
     "detector_efficiency": _number(
         "Efficiency of the detector for the emission, a fraction", exclusiveMinimum=0, maximum=1

@@ -12,7 +12,7 @@ from typing import Any
 
 from mcrim_mitsuba.core import files, table_text
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.numbers import LARGEST_KEV, LEAST_KEV, Value, parse_number, value_text
+from mcrim_mitsuba.core.numbers import ENERGIES_KEV, Value, parse_number, value_text
 from mcrim_mitsuba.core.table_text import is_number, shown
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, refused_of_beam
 from mcrim_mitsuba.scene.values import parse_like
@@ -127,6 +127,15 @@ class Measurements:
         """The error to raise about a cell, or about a row."""
         return InputError(problem, mend, path=self.path, line=row.line, column=column)
 
+    def refuse_other_units(self, others_keV: Collection[float] = ()) -> None:
+        """Refuse energies so far apart, `others_keV` too, that one is in another unit."""
+        rows = {row.energy_keV: row for row in self.readings if row.energy_keV is not None}
+        energies = [*rows, *others_keV]
+        if rows and max(energies) > _WIDEST_ENERGIES * min(energies):
+            row, both = rows.get(min(energies)) or rows[max(rows)], (min(energies), max(energies))
+            problem = "{} = {:g} beside {:g}: these are hardly one unit".format(ENERGY, *both)
+            raise self.refusal(row, ENERGY, problem, "write all in keV: 1275 for 1.275 MeV")
+
     def with_readings(self, readings: Iterable[Reading]) -> Measurements:
         """The file with what its rows give, seen side by side.
 
@@ -189,7 +198,7 @@ def read_table(
     table = Measurements(path, comments, of_scene, readings, switches)
     _check_labels(table)
     _check_histograms(table)
-    refuse_other_units(table)
+    table.refuse_other_units()
     return table
 
 
@@ -342,7 +351,7 @@ class _Cells(dict[str, str]):
         energy = self.number(ENERGY)
         if kind == TRANSMITTANCE:
             raise self.refusal(ENERGY, f"{ENERGY} of a transmittance", "empty the cell")
-        if not LEAST_KEV <= energy <= LARGEST_KEV:
+        if not ENERGIES_KEV[0] <= energy <= ENERGIES_KEV[1]:
             problem = f"{ENERGY} = {energy:g} is no energy of a line in keV"
             raise self.refusal(ENERGY, problem, "write it in keV: 662 for 0.662 MeV")
         return energy
@@ -465,18 +474,6 @@ def _check_labels(table: Measurements) -> None:
                 problem = f"{label} is of another group here than on line {first.line}"
                 mend = "give the mountings of one reading one group"
                 raise table.refusal(row, "group", problem, mend)
-
-
-def refuse_other_units(table: Measurements, known: Collection[float] = ()) -> None:
-    """Refuse energies so far apart, those `known` too (keV), that one is in another unit."""
-    rows = {row.energy_keV: row for row in table.readings if row.energy_keV is not None}
-    energies = [*rows, *known]
-    if rows and max(energies) > _WIDEST_ENERGIES * min(energies):
-        row = rows.get(min(energies)) or rows[max(rows)]
-        problem = (
-            f"{ENERGY} = {min(energies):g} beside {max(energies):g}: these are hardly one unit"
-        )
-        raise table.refusal(row, ENERGY, problem, "write all in keV: 1275 for 1.275 MeV")
 
 
 def _check_histograms(table: Measurements) -> None:

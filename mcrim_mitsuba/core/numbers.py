@@ -177,12 +177,9 @@ SHORTEST_GAP_MM = 1e-3
 LONGEST_GAP_MM = 10.0
 #: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
 LARGEST_PER_CM = 100.0
-#: Of lines that scintillators are read with, X-rays and above; below it, MeV are the likely unit.
-LEAST_KEV = 1.0
-#: And cosmic muons in a large crystal.
-LARGEST_KEV = 1e6
-#: No crystal makes more photons per keV than one for each 3 eV; counts are no photons, or MeV no
-#: keV.
+#: Of lines (keV) that scintillators are read with: X-rays to cosmic muons; below, it is in MeV.
+ENERGIES_KEV = 1.0, 1e6
+#: One photon for each 3 eV: no crystal makes more.
 LARGEST_PER_KEV = 330.0
 # Beyond these a value is possible, but seldom meant: it gets a note.
 #: Gaps and films (mm) are of 0.01 to 0.5, and 1 or 2 where air is left on purpose.

@@ -283,15 +283,15 @@ def _problems_of_media(file: SceneFile) -> Iterator[SceneProblem]:
     for shape in file.parts.shapes:
         face = _dielectric_of(file, shape)
         for medium, side in zip(file.parts.media(shape), ("int_ior", "ext_ior"), strict=True):
-            own = None if medium is None else medium.named("index")
+            nominal = None if medium is None else medium.named("index")
             index = None if face is None else face.named(side)
-            if medium is None or own is None or index is None:
+            if medium is None or nominal is None or index is None:
                 continue
-            if abs(_nominal(own) - _nominal(index)) > 1e-6:
-                text = f"{medium.label} has the index {_nominal(own):g}, but {shape.label} "
+            if abs(_nominal(nominal) - _nominal(index)) > 1e-6:
+                text = f"{medium.label} has the index {_nominal(nominal):g}, but {shape.label} "
                 text += f"(line {index.sourceline}) gives it {_nominal(index):g}"
                 mend = "let both name the same index"
-                yield SceneProblem("index", text, mend, *file.place_of(own))
+                yield SceneProblem("index", text, mend, *file.place_of(nominal))
 
 
 #: What Mitsuba takes where a plugin is not told its most important numbers.
@@ -299,6 +299,7 @@ _UNTOLD = {
     "diffuse": {"reflectance": "0.5"},
     "homogeneous": {"sigma_t": "1 per mm", "albedo": "0.75"},
     "hg": {"g": "0.8"},
+    "roughdielectric": {"alpha": "0.1"},
 }
 
 
@@ -307,7 +308,7 @@ def _problems_of_defaults(file: SceneFile) -> Iterator[SceneProblem]:
     for element in file.root.iter("bsdf", "medium", "phase"):
         for name, default in _UNTOLD.get(element.type, {}).items():
             if element.named(name) is None:
-                text = f"{element.label} does not say its {name}: Mitsuba would take {default}"
+                text = f"a {element.type} without {name}: Mitsuba would take {default}"
                 mend = f'write <float name="{name}" value="..."/>'
                 yield SceneProblem("surface", text, mend, *file.place_of(element))
 
@@ -317,10 +318,6 @@ def _problems_of_dielectric(
 ) -> Iterator[SceneProblem]:
     """Indices of a dielectric that the scene does not write, or that no medium has."""
     who = f"bsdf {element.get('id')!r}" if element.get("id") else f"the bsdf of {shape}"
-    if element.type == "roughdielectric" and element.named("alpha") is None:
-        text = f"{who} is a roughdielectric without alpha: Mitsuba would take 0.1"
-        mend = 'write <float name="alpha" value="..."/>, or type="dielectric" for a polished face'
-        yield SceneProblem("surface", text, mend, *file.place_of(element))
     for side, default in (("int_ior", "1.5046"), ("ext_ior", "1.000277")):
         index = element.named(side)
         if index is None:

@@ -20,7 +20,7 @@ from mcrim_mitsuba.core.files import (
     resolved,
     write_text,
 )
-from mcrim_mitsuba.core.numbers import LARGEST_KEV, LEAST_KEV, parse_number
+from mcrim_mitsuba.core.numbers import ENERGIES_KEV, parse_number
 from mcrim_mitsuba.output.describe_laboratory import of_peaks
 from mcrim_mitsuba.output.registry import VerbResult
 
@@ -63,12 +63,7 @@ class _Window(options.Written):
     "escapes",
     multiple=True,
 )
-@option(
-    "--energy-keV",
-    options.Number("KEV", LEAST_KEV, LARGEST_KEV),
-    "Energy of the peak, keV.",
-    "energy_keV",
-)
+@option("--energy-keV", options.Number("KEV", *ENERGIES_KEV), "Energy of the peak.", "energy_keV")
 @options.file(
     "--calibration",
     "Campaign, or a file with its table [calibration]: FILEs are in channels of a digitiser; how "

@@ -13,7 +13,7 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import Number, NumberWithError, Precision, WithError, option
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import READS, attributes, collected
-from mcrim_mitsuba.core.numbers import LARGEST_PER_KEV, LEAST_KEV
+from mcrim_mitsuba.core.numbers import ENERGIES_KEV, LARGEST_PER_KEV
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, Uncertain, budget_of, common_value
 from mcrim_mitsuba.output import describe_laboratory
 from mcrim_mitsuba.output.registry import VerbResult
@@ -75,7 +75,7 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     words = f"{' and '.join(lacking)} came without an error (as in 14.3±0.2): the budget lacks it"
     notes = [*([words] if lacking else []), _INSIDE_THE_WINDOW]
     labels = _labels(signals, etas, labels)
-    if energy_keV.value < LEAST_KEV:
+    if energy_keV.value < ENERGIES_KEV[0]:
         raise InputError(f"--energy-keV = {energy_keV.value:g}", "write 662 for 0.662 MeV")
     couplings = {}
     for label, signal, eta in zip(labels, signals, etas, strict=True):
