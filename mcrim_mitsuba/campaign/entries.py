@@ -10,7 +10,7 @@ import operator
 from typing import Any
 
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, COUNTED, ENERGIES_KEV, LARGEST_PER_KEV
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, COUNTED, ENERGIES_KEV, YIELDS_PER_KEV
 from mcrim_mitsuba.core.toml_document import TomlTable
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.laboratory.peak import SHAPES
@@ -187,7 +187,7 @@ SHARED: Entries = {
 #: Of ``[samples.NAME.light_yield]``, besides `YIELD`.
 KNOWN: Entries = {
     KNOWN_YIELD: _number(
-        "Light yield of a reference, photons per keV", exclusiveMinimum=0, maximum=LARGEST_PER_KEV
+        "Light yield of a reference, photons per keV", exclusiveMinimum=0, maximum=YIELDS_PER_KEV[1]
     ),
     KNOWN_YIELD_SIGMA: _number("Its standard error", exclusiveMinimum=0),
 }

@@ -128,6 +128,9 @@ def read_parameter(
     if ("prior" in given) != ("prior_sigma" in given):
         problem = f"{name} has only one of prior and prior_sigma"
         raise table.refusal("", problem, "give both or none")
+    if fixed and "prior" in given:
+        mend = f"remove one of them; start = {given['prior']:g} holds it there"
+        raise table.refusal("fixed", f"{name} is held, and its prior would do nothing", mend)
     number_within(table, "prior_sigma", schema.PARAMETER)
     in_scene = values.get(name)
     if isinstance(in_scene, (bool, str)):

@@ -179,8 +179,8 @@ LONGEST_GAP_MM = 10.0
 LARGEST_PER_CM = 100.0
 #: Of lines (keV) that scintillators are read with: X-rays to cosmic muons; below, it is in MeV.
 ENERGIES_KEV = 1.0, 1e6
-#: One photon for each 3 eV: no crystal makes more.
-LARGEST_PER_KEV = 330.0
+#: Photons per keV that crystals make: no more than one for each 3 eV.
+YIELDS_PER_KEV = 1e-3, 330.0
 # Beyond these a value is possible, but seldom meant: it gets a note.
 #: Gaps and films (mm) are of 0.01 to 0.5, and 1 or 2 where air is left on purpose.
 WIDEST_USUAL_GAP_MM = 3.0

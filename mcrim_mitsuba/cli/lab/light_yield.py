@@ -13,8 +13,13 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import Number, NumberWithError, Precision, WithError, option
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import READS, attributes, collected
+<<<<<<< HEAD
 from mcrim_mitsuba.core.numbers import ENERGIES_KEV, LARGEST_PER_KEV
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, Uncertain, budget_of, common_value
+=======
+from mcrim_mitsuba.core.numbers import ENERGIES_KEV, YIELDS_PER_KEV
+from mcrim_mitsuba.laboratory.error_budget import ErrorBudget
+>>>>>>> edges
 from mcrim_mitsuba.output import describe_laboratory
 from mcrim_mitsuba.output.registry import VerbResult
 from mcrim_mitsuba.scene.values import parse_list, told_of_comma
@@ -88,9 +93,9 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
         )
         couplings[label] = (signal.value, signal.sigma), (eta.value, eta.sigma), light
     together = common_value([light for *_, light in couplings.values()])
-    if together.mean.value > LARGEST_PER_KEV:
-        words = f"no crystal makes more than {LARGEST_PER_KEV:g} photons per keV"
-        notes.append(f"{words}: is the energy in MeV, or are the signals no photons?")
+    if not YIELDS_PER_KEV[0] <= together.mean.value <= YIELDS_PER_KEV[1]:
+        words = "no crystal makes such light: is the energy in MeV, or are the signals no photons?"
+        notes.append(words)
     budgets = {label: budget_of(light).merged for label, (*_, light) in couplings.items()}
     if len(couplings) > 1:
         budgets["together"] = budget_of(together.mean).merged
