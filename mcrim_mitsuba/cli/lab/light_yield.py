@@ -13,13 +13,8 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import Number, NumberWithError, Precision, WithError, option
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import READS, attributes, collected
-<<<<<<< HEAD
-from mcrim_mitsuba.core.numbers import ENERGIES_KEV, LARGEST_PER_KEV
-from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, Uncertain, budget_of, common_value
-=======
 from mcrim_mitsuba.core.numbers import ENERGIES_KEV, YIELDS_PER_KEV
-from mcrim_mitsuba.laboratory.error_budget import ErrorBudget
->>>>>>> edges
+from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, Uncertain, budget_of, common_value
 from mcrim_mitsuba.output import describe_laboratory
 from mcrim_mitsuba.output.registry import VerbResult
 from mcrim_mitsuba.scene.values import parse_list, told_of_comma
