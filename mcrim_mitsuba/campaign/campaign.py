@@ -188,6 +188,8 @@ class Campaign:
             notes.append(self.physics_note)
         if SCALE in self.free and self.light_yield is not None and self.light_yield.detector:
             notes += self.light_yield.detector.notes
+            if not (self.light_yield.relative_sigma or self.light_yield.detector.shared_sigma):
+                notes.append("detector_efficiency has no error: the light yield's lacks it")
         return tuple(notes)
 
     @property

@@ -346,6 +346,14 @@ def test_an_energy_in_mev_beside_rows_in_kev_is_refused(folder, scenes):
     assert "1.275 beside 1275: these are hardly" in refusal(read_campaign, path)
 
 
+def test_an_efficiency_without_error_is_told(folder, scenes):
+    noted = "detector_efficiency has no error: the light yield's lacks it"
+    path = with_yield(scenes, folder).path
+    assert noted not in read_campaign(path).notes
+    path.write_text(re.sub("detector_efficiency_sigma.*", "", path.read_text()))
+    assert noted in read_campaign(path).notes
+
+
 CONVENTION_LINE = 'convention = "article"                # its own conventions and physics\n'
 INSIDE = 'efficiency_of = "inside the window"\n'
 

@@ -130,6 +130,8 @@ class Photodetector(mi.BSDF):
         self.cathode_k = number(props, "cathode_k", 0.0, high=LARGEST_INDEX)
         if bool(self.cathode_n) != bool(self.cathode_k):
             raise ValueError("cathode_n and cathode_k are one index; give both, above 0")
+        if self.cathode_n and "cathode_nm" not in props:
+            raise ValueError("cathode_n and cathode_k without cathode_nm; give the thickness")
         self.window_index = number(props, "window_index", 1.0, low=1.0, high=LARGEST_INDEX)
         self.centre = _centre(props)
         self.acceptance_deg = number(props, "acceptance_deg", 90.0, high=90.0)
