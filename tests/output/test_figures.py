@@ -369,7 +369,7 @@ def test_a_useless_set_of_couplings_squeezes_no_other():
         for events in (1e3, 1e4)
     ]
     named = {"cheapest": plans[0], "cheapest_statistical": None, "wanted": 0.07, "name": str}
-    drawing = budget.draw_plan(SimpleNamespace(plans=plans, **named))
+    drawing = budget.draw_plan(SimpleNamespace(plans=plans, number=str, **named))
     _, total = drawing.figure.axes
     assert total.get_ylim()[1] < 20 and not total.texts
     assert "not drawn: 1 set with errors above 21 %" in drawing.figure.get_suptitle()

@@ -278,6 +278,7 @@ def test_the_notebook_of_the_planner():
         "[doubt.leading, averaged.sigma / best['sigma'],"
         " [reading.parameters for reading in doubt.next_measurements[:3]]]",
     )
-    assert found[0][:2] == ["ground_top", "edge_chamfer"] and 1.0 < found[1] < 1.7
+    # of four seeds 1.4 to 1.8: it takes few photons
+    assert found[0][:2] == ["ground_top", "edge_chamfer"] and 1.0 < found[1] < 2.0
     assert found[2][0] == {"n_gap": 1.333, "aperture_radius_mm": 7.0}
     assert "A light yield to 8.0 % cannot be reached" in said and "image/png" in said

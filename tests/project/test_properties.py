@@ -87,7 +87,7 @@ def test_a_measurement_file_is_read_as_it_was_written(campaign, folder, rows):
             float(f"{signal:.6g}"),
             float(f"{sigma:.6g}"),
             {"n_gap": n},
-            use=use,
+            use=use and sigma <= signal,
             line=line,
         )
         for line, (label, signal, sigma, use, n) in enumerate(rows)
