@@ -305,11 +305,13 @@ def _mend_of(name: str, parameters: Collection[str], elements: Iterable[Node]) -
     wrappings = [shape for shape in shapes if shape.type == "wrapping"]
     rows = f"a column {name} of 0 and 1 in measurements does so"
     if (name in _FACES and len(wrappings) == 1) or name in {w.get("id") for w in wrappings}:
-        bare = '<string name="without" value="$bare"/>'
-        default = '<default name="bare" value="none"/>'
+        lacking = (
+            'let the wrapping have <string name="without" value="$bare"/>, write '
+            '<default name="bare" value="none"/> at the top, and '
+        )
         return (
-            f"to take it off, let the wrapping have {bare}, write {default} at the top, and give "
-            f'bare the value "top sides" (all) or the faces that are bare; {rows}'
+            f"to take it off, {'' if 'bare' in parameters else lacking}give bare the value "
+            f'"top sides" (all) or the faces that are bare; {rows}'
         )
     if name in {shape.get("id") for shape in shapes}:
         return f"it is a part: take it out of a copy of the scene; if it stands in air {rows}"

@@ -80,6 +80,10 @@ def test_a_part_is_no_parameter_and_it_is_said_what_to_do(name, mend):
     """`-D wrapping=0` was taken for a misspelt parameter, though columns take it off so."""
     wrapped = read_scene(SCENES / "lyso_teflon.xml")
     assert mend in wrapped.mend_of(name) and mend in refusal(wrapped.with_overrides, {name: 0.0})
+    # what stands there already need not be written
+    assert (
+        read_scene(SCENES / "bgo_esr.xml").mend_of("foil").startswith("to take it off, give bare")
+    )
 
 
 def test_the_beam_s_scene_is_the_crystal_alone_in_air(bench):
