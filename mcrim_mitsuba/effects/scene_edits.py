@@ -303,8 +303,6 @@ def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
 
     `cut` is the number that tells a ``panel`` where, `liquid` and `air` which part each keeps.
     """
-    if "n_gap" not in editor.scene.parameters:
-        raise editor.refusal("the scene has no parameter n_gap", "write the gap's index as one")
     box = crystal_box(editor)
     (bottom,) = box["bottom"]
     under = window_under_gap(editor)

@@ -27,7 +27,7 @@ from mcrim_mitsuba.core.files import (
     read_bytes,
     resolved,
 )
-from mcrim_mitsuba.core.numbers import Value, doubts, unit_of, value_text
+from mcrim_mitsuba.core.numbers import Value, doubts, value_text
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.values import (
     MaterialIndex,
@@ -73,8 +73,6 @@ class DefaultParameter:
     value: str
     #: The XML comment beside or directly above it, or empty.
     comment: str
-    #: Unit that the name ends in.
-    unit: str | None
     _: KW_ONLY
     #: File that holds it (an included one, perhaps).
     path: Path
@@ -123,15 +121,7 @@ class SceneFile:
 
     def place_of_id(self, element_id: str) -> tuple[Path, int | None]:
         """File and line of the element with this ``id``; KeyError if there is none."""
-        for element in self.root.iter():
-            # a <ref id="..."> points at an element that has the id
-            if element.get("id") == element_id and element.tag != "ref":
-                return self.place_of(element)
-        raise KeyError(element_id)
-
-    def line_of(self, element_id: str) -> int | None:
-        """Line (in its own file) of the element with this ``id``; KeyError if there is none."""
-        return self.place_of_id(element_id)[1]
+        return self.place_of(self.parts.by_id[element_id])
 
     def overrides_for_mitsuba(self) -> dict[str, str]:
         """Keyword arguments for ``mitsuba.load_file`` that give this same scene."""
@@ -456,7 +446,7 @@ class _Assembly:
         if name in self.defaults:
             return  # the first default wins across files
         comment = comment_of(element)
-        self.defaults[name] = DefaultParameter(name, raw, comment, unit_of(name), **place)
+        self.defaults[name] = DefaultParameter(name, raw, comment, **place)
         if named is not None:
             self.materials[name] = named
         if name in self.overrides:

