@@ -336,7 +336,7 @@ class CrystalVolume:
         """Births (Point3f, mm) and the rounds they took (UInt32), `MOST_ROUNDS` where in vain."""
         lower = opaque_vector(self.born_lower)
         extent = opaque_vector(self.born_upper - self.born_lower)
-        inside = self._test()
+        inside = self._sees_itself() if self._solid is None else self._solid.test()
 
         def body(point, searching, rng, rounds):
             shares = [rng.next_float32() for _ in range(3)]
@@ -366,7 +366,7 @@ class CrystalVolume:
         shape = tuple(len(edges) - 1 for edges in edges_mm)
         if self.frame is not None and all(np.count_nonzero(e) == 1 for e in self.frame[1:]):
             return np.ones(shape)
-        inside = self._test()
+        inside = self._sees_itself() if self._solid is None else self._solid.test()
         share = (np.arange(POINTS_ALONG_A_CELL) + 0.5) / POINTS_ALONG_A_CELL
         along = [(e[:-1, None] + share * np.diff(e)[:, None]).ravel() for e in edges_mm]
         points = np.stack(np.meshgrid(*along, indexing="ij")).reshape(3, -1)
@@ -385,10 +385,8 @@ class CrystalVolume:
             density *= np.expand_dims(along, [i for i in range(3) if i != self._axis])
         return density
 
-    def _test(self):
+    def _sees_itself(self):
         """A function that tells of points (Point3f, mm) whether they lie in the volume (Mask)."""
-        if self._solid is not None:
-            return self._solid.test()
         interior, exterior = (
             opaque([s.sides[side] == self.volume for s in self.model.surfaces], mi.Bool)
             for side in (0, 1)

@@ -263,13 +263,12 @@ class FlatPath:
         faced = here[within] | (here[around] & ~on_it)
         return [(t, faced & (t > self._behind) & near)]
 
-    def _between(self, ray: Ray, t, axis: int, low: float | None, high: float | None):
+    def _between(self, ray: Ray, t, axis: int, low: float, high: float):
         """Whether a point of the ray lies between two levels on an axis, as far as there are."""
-        if low is None and high is None:
-            return mi.Mask(True)
-        along = dr.fma(t, ray.direction[axis], ray.origin[axis])
-        above = mi.Mask(True) if low is None else along >= self._number(low)
-        return above if high is None else above & (along <= self._number(high))
+        along, between = dr.fma(t, ray.direction[axis], ray.origin[axis]), mi.Mask(True)
+        if low > -np.inf:
+            between &= along >= self._number(low)
+        return between & (along <= self._number(high)) if high < np.inf else between
 
     @staticmethod
     def face_of(face):

@@ -36,9 +36,7 @@ class Polygon(Polygons):
         width, sides = float(props["width"]), sides_of(props)
         if not width >= 0.0:
             raise ValueError(f"a polygon's width is {width:g}; give 0 or more")
-        if width == 0.0:
-            return []
-        return polygon_faces(sides, width)
+        return polygon_faces(sides, width) if width else []
 
 
 class PrismSides(Polygons):
@@ -114,22 +112,14 @@ class LyingMantle(_Lying):
         if keep not in ("wet", "dry"):
             raise ValueError(f"a lying_mantle's keep is {keep!r}; give wet or dry")
         is_wet, level = keep == "wet", float(_height(radius, wet))
-        circle = Circle((0.0, radius), radius, axis=0)
-        self.wall = RoundWall(
-            circle,
-            -length / 2,
-            length / 2,
-            -1,
-            outwards=True,
-            below_mm=level if is_wet else None,
-            above_mm=None if is_wet else level,
-        )
+        circle, half = Circle((0.0, radius), radius, axis=0), length / 2
+        heights = {"below_mm" if is_wet else "above_mm": level}
+        self.wall = RoundWall(circle, -half, half, -1, outwards=True, **heights)
         edge = float(np.arcsin(wet / radius))
         # from the lowest line on, against the clock seen from +x
         start, end = (-edge, edge) if is_wet else (edge, 2.0 * np.pi - edge)
         angle = np.linspace(start, end, max(2, round(_AROUND * (end - start) / 2.0 / np.pi)) + 1)
         y, z = radius * np.sin(angle), radius * (1.0 - np.cos(angle))
-        half = length / 2
         return [
             np.array(
                 [
