@@ -305,8 +305,7 @@ _ROUGH = "roughness_alpha"
 
 def edit_gel_creep(editor: SceneEditor) -> None:
     """Cut the sides of the crystal at the collar's height; what is below borders a liquid."""
-    wraps = [shape for shape in editor.shapes if shape.type == "wrapping"]
-    if wraps:
+    if wraps := editor.all("shape", "wrapping"):
         problem = "light that leaves into the liquid would pass through the wrapping"
         raise editor.refusal(problem, "gel_creep is for bare crystals", wraps[0])
     if editor.gap.elements:

@@ -60,10 +60,9 @@ def set_numbers(editor: SceneEditor, part: Node, *names: str) -> None:
 
 def set_phase(editor: SceneEditor, xml: str) -> None:
     """Put ``<phase>`` into the crystal's medium, or refuse one that has its own."""
-    for part in editor.crystal.elements:
-        if part.tag == "phase":
-            problem = f"the crystal has the phase function {part.type} already"
-            raise editor.refusal(problem, "there can be only one: remove it first", part)
+    if (part := editor.crystal.find("phase")) is not None:
+        problem = f"the crystal has the phase function {part.type} already"
+        raise editor.refusal(problem, "there can be only one: remove it first", part)
     editor.insert_last(editor.crystal, xml)
 
 

@@ -24,10 +24,9 @@ _REFLECTOR_SIMULATED_AT = 0.99
 
 def edit_top_reflector(editor: SceneEditor) -> None:
     """Lay a white reflector on the top face, behind a film of air."""
-    for shape in editor.shapes:
-        if shape.type == "wrapping":
-            problem = f"{shape.label} covers the top already"
-            raise editor.refusal(problem, "change its reflectance instead", shape)
+    for shape in editor.all("shape", "wrapping"):
+        problem = f"{shape.label} covers the top already"
+        raise editor.refusal(problem, "change its reflectance instead", shape)
     editor.refuse_id("top_reflector")
     box = crystal_box(editor)
     last = max((face for faces in box.values() for face in faces), key=editor.shapes.index)
@@ -114,7 +113,7 @@ def without_wrapped_sides(scene: SceneFile) -> tuple[str, str] | None:
 
 def edit_wrapping(editor: SceneEditor, name: str, value: str) -> None:
     """Give every wrapping one more number."""
-    wrappings = [shape for shape in editor.shapes if shape.type == "wrapping"]
+    wrappings = editor.all("shape", "wrapping")
     set_part(editor, wrappings, name, f'<float name="{name}" value="{value}"/>')
 
 

@@ -143,9 +143,8 @@ class FlatPath:
         #: Where flights pass over total reflections.
         self.folded = next((b for b in self._bodies if isinstance(b, FoldedBody)), None)
         #: What leads light through the film before a wrapping.
-        filmed = [] if polarization else [solid for solid in solids if solid.volume == fold]
-        films = (film_before(model, solid) for solid in filmed)
-        film = next((film for film in films if film is not None), None)
+        wrapped = None if polarization else next((s for s in solids if s.volume == fold), None)
+        film = None if wrapped is None else film_before(model, wrapped)
         self.film = None if film is None else FilmTrips(model, film)
         #: What leads it to and fro between a wrapping's mirrors.
         self.shuttle = None

@@ -144,8 +144,10 @@ class ScintillationEmitter(mi.Emitter):
         if max(self.source_depth_mm, self.side_depth_mm) < float("inf"):
             raise ValueError("light is born near the top or near a side; give one depth")
         self.source_width_mm = number(props, "source_width_mm", math.inf, SLIMMEST_MM, math.inf)
-        if (self.source_width_mm < math.inf) != ("source_z_mm" in props):
-            raise ValueError("of a slab, source_width_mm and source_z_mm go together; give both")
+        if self.source_width_mm < math.inf and "source_z_mm" not in props:
+            raise ValueError("source_width_mm without source_z_mm; give the middle of the slab")
+        if self.source_width_mm == math.inf and "source_z_mm" in props:
+            raise ValueError("source_z_mm without source_width_mm; give the slab's thickness")
         self.source_z_mm = float(props.get("source_z_mm", 0.0))
         self.source_across_mm = number(props, "source_across_mm", math.inf, SLIMMEST_MM, math.inf)
         self.m_flags = +mi.EmitterFlags.Empty
