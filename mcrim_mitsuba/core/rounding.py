@@ -48,8 +48,9 @@ def pdg_parts(value: float, *sigmas: float) -> str:
         # of ten, to take out of all numbers: 0 where they read well as they are
         power = 0 if _SMALLEST_PLAIN <= largest < _LARGEST_PLAIN else largest.adjusted()
         numbers = [number.scaleb(-power) for number in numbers]
-        # the last digit that PDG's rule keeps
-        last = whole.adjusted() - power - (int(whole.scaleb(2 - whole.adjusted())) < 355)
+        # of the error one digit is kept, two where its first three are below 355
+        two_digits = int(whole.scaleb(2 - whole.adjusted())) < 355
+        last = whole.adjusted() - power - two_digits
         least = min(sigma for sigma in numbers[1:] if sigma > 0)
         if not least.quantize(Decimal(1).scaleb(last)):
             last -= 1

@@ -155,8 +155,8 @@ def problems_of_contacts(file: SceneFile, model: SceneModel) -> list[SceneProble
             kind, apart = "thin_gap", f"are {distance:.3g} mm apart"
             text += f"{apart}, too thin for single precision in a scene of this size"
             power = 10.0 ** np.floor(np.log10(narrowest))  # of one significant digit, rounded up
-            mend = f"make the gap at least {np.ceil(narrowest / power) * power:g} mm"
-            mend += ", or one single face"
+            least = np.ceil(narrowest / power) * power
+            mend = f"make the gap at least {least:g} mm, or one single face"
         problems.append(SceneProblem(kind, text, mend, *file.place_of_id(other_name)))
     return problems
 
