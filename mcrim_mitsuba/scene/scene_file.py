@@ -27,7 +27,7 @@ from mcrim_mitsuba.core.files import (
     read_bytes,
     resolved,
 )
-from mcrim_mitsuba.core.numbers import Value, doubts, value_text
+from mcrim_mitsuba.core.numbers import Value, doubts, unit_of, value_text
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.values import (
     MaterialIndex,
@@ -73,6 +73,8 @@ class DefaultParameter:
     value: str
     #: The XML comment beside or directly above it, or empty.
     comment: str
+    #: Unit that the name ends in.
+    unit: str | None
     _: KW_ONLY
     #: File that holds it (an included one, perhaps).
     path: Path
@@ -446,7 +448,7 @@ class _Assembly:
         if name in self.defaults:
             return  # the first default wins across files
         comment = comment_of(element)
-        self.defaults[name] = DefaultParameter(name, raw, comment, **place)
+        self.defaults[name] = DefaultParameter(name, raw, comment, unit_of(name), **place)
         if named is not None:
             self.materials[name] = named
         if name in self.overrides:

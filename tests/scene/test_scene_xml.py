@@ -32,7 +32,7 @@ def test_parameters_keep_their_comment_unit_and_line(tmp_path):
     assert known["n_gap"].comment == "index of the gap"
     assert known["gap_mm"].comment == ""  # the comment above belongs to n_gap
     assert known["polarization"].comment == "track polarisation"
-    assert known["gap_mm"].line == 9
+    assert (known["gap_mm"].unit, known["n_gap"].unit, known["gap_mm"].line) == ("mm", None, 9)
     assert known["below_mm"].value == "-$gap_mm"
     assert scene.parameters == {
         "n_crystal": 2.01,
