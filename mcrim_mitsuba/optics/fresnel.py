@@ -16,14 +16,26 @@ from mcrim_mitsuba.core.errors import InputError
 def amplitudes(
     cos_i: ArrayLike, n_from: ArrayLike, n_to: ArrayLike
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Complex amplitude reflection coefficients ``(r_s, r_p)``: reflected over incident field.
+    """Complex amplitude reflection coefficients ``(r_s, r_p)``.
 
-    Born & Wolf, Principles of Optics, section 1.5.2. The real indices are those before and behind
-    the interface. Fields go as exp(-i omega t), so in total internal reflection, where both have
-    the modulus 1, ``cos_t = +i |cos_t|`` (a wave that decays away from the interface); at normal
-    incidence r_p = -r_s.
+    Born & Wolf, Principles of Optics, section 1.5.2. Fields go as
+    exp(-i omega t), so in total internal reflection ``cos_t = +i |cos_t|`` (a wave
+    that decays away from the interface); at normal incidence r_p = -r_s.
 
     Raises InputError if a cosine is outside [0, 1] or an index is not above 0.
+
+    Parameters
+    ----------
+    cos_i : float or array
+        Cosine of the angle of incidence, in [0, 1].
+    n_from, n_to : float or array
+        Real refractive indices before and behind the interface, above 0.
+
+    Returns
+    -------
+    r_s, r_p : complex or array of complex
+        Ratio of reflected to incident electric field, s and p polarisation;
+        both of modulus 1 in total internal reflection.
     """
     cos_i, n_from, n_to = (np.asarray(x, dtype=float) for x in (cos_i, n_from, n_to))
     if not np.all((cos_i >= 0) & (cos_i <= 1)):
