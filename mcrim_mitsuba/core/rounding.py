@@ -43,9 +43,14 @@ def pdg_parts(value: float, *sigmas: float) -> str:
     with localcontext() as context:
         context.prec = 1000  # any two floats fit, whatever their exponents
         numbers = [Decimal(repr(float(number))) for number in (value, *sigmas)]
-        power = _common_power(abs(numbers[0]), Decimal(repr(total)))
+        whole = Decimal(repr(total))
+        largest = max(abs(numbers[0]), whole)
+        # of ten, to take out of all numbers: 0 where they read well as they are
+        power = 0 if _SMALLEST_PLAIN <= largest < _LARGEST_PLAIN else largest.adjusted()
         numbers = [number.scaleb(-power) for number in numbers]
-        last = _last_place(Decimal(repr(total)).scaleb(-power))
+        # of the error one digit is kept, two where its first three are below 355
+        two_digits = int(whole.scaleb(2 - whole.adjusted())) < 355
+        last = whole.adjusted() - power - two_digits
         least = min(sigma for sigma in numbers[1:] if sigma > 0)
         if not least.quantize(Decimal(1).scaleb(last)):
             last -= 1
@@ -55,21 +60,6 @@ def pdg_parts(value: float, *sigmas: float) -> str:
         texts = [rounded, *(t if s > 0 else "0" for t, s in zip(errors, sigmas, strict=True))]
     together = " ± ".join(texts)
     return f"({together})e{power}" if power else together
-
-
-def _last_place(sigma: Decimal) -> int:
-    """Power of ten of the last digit that PDG's rule keeps."""
-    highest = sigma.adjusted()
-    three_digits = int(sigma.scaleb(2 - highest))
-    return highest - 1 if three_digits < 355 else highest
-
-
-def _common_power(value: Decimal, sigma: Decimal) -> int:
-    """Power of ten to take out of both numbers: 0 where they read well as they are."""
-    largest = max(value, sigma)
-    if _SMALLEST_PLAIN <= largest < _LARGEST_PLAIN:
-        return 0
-    return largest.adjusted()
 
 
 def number(value: float | None, digits: int = 3) -> str:

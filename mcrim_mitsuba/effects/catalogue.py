@@ -183,6 +183,9 @@ def add(
         raise InputError(problem, mend, path=scene.path)
     _refuse_what_is_there(chosen, scene, effects or catalogue())
     chosen.refuse_without_part(scene)
+    if chosen.filled_only and "n_gap" not in scene.parameters:
+        problem = "the scene has no parameter n_gap"
+        raise InputError(problem, "write the gap's index as one", path=scene.path)
     given = _values(chosen, scene, values or {})
     editor = SceneEditor(scene, given)
     for parameter in chosen.parameters:

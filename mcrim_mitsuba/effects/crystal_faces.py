@@ -25,6 +25,10 @@ FACETS = (
     "E. Heitz, J. Hanika, E. d'Eon and C. Dachsbacher, ACM Trans. Graph. 35 (2016) 58; B. Walter, "
     "S. R. Marschner, H. Li and K. E. Torrance, Eurographics Symposium on Rendering 2007, 195"
 )
+#: Of what takes light.
+_LEVIN = (
+    "A. Levin and C. Moisan, IEEE Nuclear Science Symposium Conference Record 1996, vol. 2, 702"
+)
 
 #: Alpha up to which a face may still be called polished.
 POLISHED = 0.05
@@ -299,9 +303,7 @@ SURFACE_ABSORPTION = Effect(
         "reflected tens of times, suffers most. Simulations of scintillation counters have long "
         "described this by a reflection coefficient of the surface below 1."
     ),
-    source=(
-        "A. Levin and C. Moisan, IEEE Nuclear Science Symposium Conference Record 1996, vol. 2, 702"
-    ),
+    source=_LEVIN,
     parameters=(
         EffectParameter(
             name="surface_loss",
@@ -342,9 +344,7 @@ GROUND_LOSS = Effect(
         "surface. What is polished loses nothing: see surface_absorption. It is there where the "
         "scene has ground faces, whose facets do not take any light themselves."
     ),
-    source=(
-        "A. Levin and C. Moisan, IEEE Nuclear Science Symposium Conference Record 1996, vol. 2, 702"
-    ),
+    source=_LEVIN,
     parameters=(
         EffectParameter(
             name="ground_loss",

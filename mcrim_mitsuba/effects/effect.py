@@ -377,9 +377,9 @@ class Effect:
         for parameter in self.parameters:
             if not isinstance(parameter, EffectParameter):
                 raise ValueError(f"{self.name}: parameters must be a tuple of EffectParameter")
-        if self.reading is not None and len(self.parameters) != 1:
-            raise ValueError(f"{self.name}: an effect of the readings has one parameter")
         if self.reading is not None:
+            if len(self.parameters) != 1:
+                raise ValueError(f"{self.name}: an effect of the readings has one parameter")
             taken = len(inspect.signature(self.reading).parameters)
             if taken == 2:
                 of_signal = functools.partial(_of_signal_alone, self.reading)

@@ -143,8 +143,6 @@ def edit_gap_absorption(editor: SceneEditor) -> None:
     number = editor.gap.named("alpha_abs_per_cm")
     if number is not None:
         raise editor.refusal("the gap absorbs already", "change this number instead", number)
-    if "n_gap" not in editor.scene.parameters:
-        raise editor.refusal("the scene has no parameter n_gap", "write the gap's index as one")
     editor.insert_last(
         editor.gap,
         '<float name="alpha_abs_per_cm" value="$gap_absorption_per_cm"/>\n'
@@ -191,6 +189,11 @@ GAP_ABSORPTION = Effect(
 )
 
 
+#: Of bubbles.
+_LEO = (
+    "W. R. Leo, Techniques for Nuclear and Particle Physics Experiments, 2nd ed., Springer 1994, "
+    "chapter 9"
+)
 _CUT = '<float name="cut" value="$bubble_fraction"/>'
 
 
@@ -216,10 +219,7 @@ GAP_BUBBLE = Effect(
         "the gap: there crystal and window border air, and the light stays trapped as in the "
         "uncoupled crystal. Here the air takes the strip x < -W/2 + f W of filled gaps."
     ),
-    source=(
-        "W. R. Leo, Techniques for Nuclear and Particle Physics Experiments, 2nd ed., Springer "
-        "1994, chapter 9"
-    ),
+    source=_LEO,
     parameters=(
         EffectParameter(
             name="bubble_fraction",
@@ -275,10 +275,7 @@ GAP_BUBBLE_ROUND = Effect(
         "the uncoupled crystal. In the middle no mask hides what is missing. Here the air takes a "
         "disc about the axis, of this part of the area of the crystal's bottom, in filled gaps."
     ),
-    source=(
-        "W. R. Leo, Techniques for Nuclear and Particle Physics Experiments, 2nd ed., Springer "
-        "1994, chapter 9"
-    ),
+    source=_LEO,
     parameters=(
         EffectParameter(
             name="bubble_area_fraction",
@@ -308,10 +305,7 @@ _ROUGH = "roughness_alpha"
 
 def edit_gel_creep(editor: SceneEditor) -> None:
     """Cut the sides of the crystal at the collar's height; what is below borders a liquid."""
-    if "n_gap" not in editor.scene.parameters:
-        raise editor.refusal("the scene has no parameter n_gap", "write the gap's index as one")
-    wraps = [shape for shape in editor.shapes if shape.type == "wrapping"]
-    if wraps:
+    if wraps := editor.all("shape", "wrapping"):
         problem = "light that leaves into the liquid would pass through the wrapping"
         raise editor.refusal(problem, "gel_creep is for bare crystals", wraps[0])
     if editor.gap.elements:
@@ -326,8 +320,14 @@ def edit_gel_creep(editor: SceneEditor) -> None:
         "<!-- the liquid that has crept up the sides: light goes straight on in it -->\n"
         f'<medium type="bulk" id="{_LIQUID}">\n  <boolean name="endless" value="true"/>\n</medium>',
     )
+    worn = (
+        f'<ref id="{wet}"/>',
+        f'<ref name="interior" id="{editor.crystal.attrib["id"]}"/>',
+        f'<ref name="exterior" id="{_LIQUID}"/>',
+    )
     for face in sides:
-        _split(editor, face, wet)
+        name = f"{face.attrib['id']}_wet"
+        split_panel(editor, face, name, _LEVEL, ("above", "below"), worn)
 
 
 def _interface(editor: SceneEditor, bottom: Node, side: Node) -> str:
@@ -343,17 +343,6 @@ def _interface(editor: SceneEditor, bottom: Node, side: Node) -> str:
     plugin = "polish" if len(parts) > 2 else "dielectric"
     editor.insert_after(below, element(f'bsdf type="{plugin}" id="{name}"', parts))
     return name
-
-
-def _split(editor: SceneEditor, face: Node, wet: str) -> None:
-    """Leave the wet part out of a side and make it a face of its own, towards the liquid."""
-    name = f"{face.attrib['id']}_wet"
-    worn = (
-        f'<ref id="{wet}"/>',
-        f'<ref name="interior" id="{editor.crystal.attrib["id"]}"/>',
-        f'<ref name="exterior" id="{_LIQUID}"/>',
-    )
-    split_panel(editor, face, name, _LEVEL, ("above", "below"), worn)
 
 
 GEL_CREEP = Effect(

@@ -60,10 +60,9 @@ def set_numbers(editor: SceneEditor, part: Node, *names: str) -> None:
 
 def set_phase(editor: SceneEditor, xml: str) -> None:
     """Put ``<phase>`` into the crystal's medium, or refuse one that has its own."""
-    for part in editor.crystal.elements:
-        if part.tag == "phase":
-            problem = f"the crystal has the phase function {part.type} already"
-            raise editor.refusal(problem, "there can be only one: remove it first", part)
+    if (part := editor.crystal.find("phase")) is not None:
+        problem = f"the crystal has the phase function {part.type} already"
+        raise editor.refusal(problem, "there can be only one: remove it first", part)
     editor.insert_last(editor.crystal, xml)
 
 
@@ -303,8 +302,6 @@ def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
 
     `cut` is the number that tells a ``panel`` where, `liquid` and `air` which part each keeps.
     """
-    if "n_gap" not in editor.scene.parameters:
-        raise editor.refusal("the scene has no parameter n_gap", "write the gap's index as one")
     box = crystal_box(editor)
     (bottom,) = box["bottom"]
     under = window_under_gap(editor)

@@ -24,10 +24,9 @@ _REFLECTOR_SIMULATED_AT = 0.99
 
 def edit_top_reflector(editor: SceneEditor) -> None:
     """Lay a white reflector on the top face, behind a film of air."""
-    for shape in editor.shapes:
-        if shape.type == "wrapping":
-            problem = f"{shape.label} covers the top already"
-            raise editor.refusal(problem, "change its reflectance instead", shape)
+    for shape in editor.all("shape", "wrapping"):
+        problem = f"{shape.label} covers the top already"
+        raise editor.refusal(problem, "change its reflectance instead", shape)
     editor.refuse_id("top_reflector")
     box = crystal_box(editor)
     last = max((face for faces in box.values() for face in faces), key=editor.shapes.index)
@@ -114,7 +113,7 @@ def without_wrapped_sides(scene: SceneFile) -> tuple[str, str] | None:
 
 def edit_wrapping(editor: SceneEditor, name: str, value: str) -> None:
     """Give every wrapping one more number."""
-    wrappings = [shape for shape in editor.shapes if shape.type == "wrapping"]
+    wrappings = editor.all("shape", "wrapping")
     set_part(editor, wrappings, name, f'<float name="{name}" value="{value}"/>')
 
 
@@ -246,29 +245,21 @@ def edit_mask_on_detector(editor: SceneEditor) -> None:
         if inner is None or len(editor.targets(mask, "bsdf")) != 1:
             problem = f"{mask.label} does not hold its interface"
             raise editor.refusal(problem, "nest the <bsdf> in it", mask)
-        _take_off(editor, mask, inner)
+        # of an aperture the interface in its hole is left, under the aperture's id
+        parts = [editor.source(part) for part in inner.elements]
+        editor.replace(mask, element(f'bsdf type="{inner.type}"{_id_of(mask)}', parts))
+        editor.set_comment(mask, _BEHIND)
     for part in holes[0]:
         for word in part.attrib.values():
             if word.startswith("$"):
                 declared = editor.default(word[1:])
                 editor.reword(declared, "on the window's entrance face", "on the detector")
     for detector in detectors:
-        _put_on(editor, detector, texts[0])
-
-
-def _take_off(editor: SceneEditor, mask: Node, inner: Node) -> None:
-    """Leave of an aperture the interface in its hole, under the aperture's id."""
-    parts = [editor.source(part) for part in inner.elements]
-    editor.replace(mask, element(f'bsdf type="{inner.type}"{_id_of(mask)}', parts))
-    editor.set_comment(mask, _BEHIND)
-
-
-def _put_on(editor: SceneEditor, detector: Node, hole: list[str]) -> None:
-    """Put an aperture around what a detector wears, under its id."""
-    name = _id_of(detector)
-    bare = editor.source(detector).replace(name, "", 1)
-    mask = element(f'bsdf type="aperture"{name}', [*hole, bare])
-    editor.replace(detector, f"<!-- the mask, with its round hole -->\n{mask}")
+        # around what it is, under its id
+        name = _id_of(detector)
+        bare = editor.source(detector).replace(name, "", 1)
+        xml = element(f'bsdf type="aperture"{name}', [*texts[0], bare])
+        editor.replace(detector, f"<!-- the mask, with its round hole -->\n{xml}")
 
 
 def _id_of(node: Node) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.core.numbers import Value, whole_of
+from mcrim_mitsuba.core.numbers import whole_of
 from mcrim_mitsuba.core.run import arguments_of, processors
 from mcrim_mitsuba.reference import walk
 from mcrim_mitsuba.reference.compiling import say_if_slow
@@ -90,7 +90,6 @@ def trace(
     photons: int,
     seed: int,
     *,
-    overrides: Mapping[str, Value] | None = None,
     max_depth: int | None = None,
     histories: bool = False,
     threads: int | None = None,
@@ -98,19 +97,19 @@ def trace(
 ) -> TracerResult:
     """Trace photons from birth to fate: analog Monte Carlo, one fate each.
 
-    The bench is a sound scene, whose parameters `overrides` may change, or given by its faces. The
-    same seed gives the same fates whatever the threads (all processors, if not given): each photon
-    has a generator of its own. After `max_depth` straight flights (what the scene says, else 2000)
-    a photon counts as truncated: light that total reflection traps in a clear crystal ends so.
-    `histories`, what the detected ones went through, take 64 bytes each. `progress` is called now
-    and then with the number of photons done, at last with `photons`.
+    The bench is a sound scene, or given by its faces. The same seed gives the same fates whatever
+    the threads (all processors, if not given): each photon has a generator of its own. After
+    `max_depth` straight flights (what the scene says, else 2000) a photon counts as truncated:
+    light that total reflection traps in a clear crystal ends so. `histories`, what the detected
+    ones went through, take 64 bytes each. `progress` is called now and then with the number of
+    photons done, at last with `photons`.
 
     Raises InputError if the tracer does not know a part of the scene, which it names, or one of the
     whole numbers is none, or too small.
     """
     photons, seed = arguments_of(photons, seed)
     if not isinstance(bench, FacedBench):
-        bench = read_bench(read_scene(bench, overrides))
+        bench = read_bench(read_scene(bench))
     if max_depth is None:
         max_depth = bench.most_flights or MOST_FLIGHTS
     max_depth = whole_of("max_depth", max_depth, "give a whole number, at least 1", 1)

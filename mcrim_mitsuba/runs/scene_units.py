@@ -53,17 +53,13 @@ class PortableScene:
         text = etree.tostring(scene.root, encoding="utf-8")
         return cls(str(scene.path), scene.content_hash, text, tuple(files.items()))
 
-    def unpacked(self) -> SceneFile:
-        """The scene, in a temporary folder of this machine.
-
-        Raises InputError if a file that it names is another one here.
-        """
-        return _unpacked(self)
-
 
 @functools.lru_cache(maxsize=4)
-def _unpacked(sent: PortableScene) -> SceneFile:
-    """A scene that was sent, written into a folder of this process and read again."""
+def unpacked(sent: PortableScene) -> SceneFile:
+    """A scene that was sent, written into a folder of this process and read again.
+
+    Raises InputError if a file that it names is another one here.
+    """
     folder = Path(_scratch().name) / sent.content_hash
     for place, content in (("scene.xml", sent.text), *sent.files):
         (folder / place).parent.mkdir(parents=True, exist_ok=True)
@@ -135,7 +131,7 @@ class SceneUnit:
             _loaded.move_to_end(key)
             use_variant(self.variant, threads)
             return _loaded[key]
-        file = of.unpacked() if isinstance(of, PortableScene) else self.own_scene
+        file = unpacked(of) if isinstance(of, PortableScene) else self.own_scene
         return _keep(key, Simulation(file, variant=self.variant, threads=threads, check=check))
 
     @property

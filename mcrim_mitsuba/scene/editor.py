@@ -358,7 +358,11 @@ class SceneEditor(SceneParts):
         for node in root.iter("default", "include"):
             if node.tag == "include":
                 yield _Piece(path, text, place, spans[node].start)
-                yield from self._flatten(self._included(node, path), declared)
+                if "$" in (name := node.attrib["filename"]):
+                    problem = f"the name {name} of an included file is a parameter"
+                    line = node.sourceline
+                    raise InputError(problem, "write the name itself", path=path, line=line)
+                yield from self._flatten(path.parent / name, declared)
             elif (name := node.get("name", "")) not in declared:
                 declared.add(name)
                 continue
@@ -367,14 +371,6 @@ class SceneEditor(SceneParts):
                 yield _Piece(path, text, place, max(place, start))
             place = spans[node].end
         yield _Piece(path, text, place, end)
-
-    def _included(self, include: Node, path: Path) -> Path:
-        name = include.attrib["filename"]
-        if "$" in name:
-            problem = f"the name {name} of an included file is a parameter"
-            line = include.sourceline
-            raise InputError(problem, "write the name itself", path=path, line=line)
-        return path.parent / name
 
     def _place(self, position: int) -> tuple[Path, int]:
         """File and line of a position in the flat text."""

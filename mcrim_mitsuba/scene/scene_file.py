@@ -123,15 +123,7 @@ class SceneFile:
 
     def place_of_id(self, element_id: str) -> tuple[Path, int | None]:
         """File and line of the element with this ``id``; KeyError if there is none."""
-        for element in self.root.iter():
-            # a <ref id="..."> points at an element that has the id
-            if element.get("id") == element_id and element.tag != "ref":
-                return self.place_of(element)
-        raise KeyError(element_id)
-
-    def line_of(self, element_id: str) -> int | None:
-        """Line (in its own file) of the element with this ``id``; KeyError if there is none."""
-        return self.place_of_id(element_id)[1]
+        return self.place_of(self.parts.by_id[element_id])
 
     def overrides_for_mitsuba(self) -> dict[str, str]:
         """Keyword arguments for ``mitsuba.load_file`` that give this same scene."""

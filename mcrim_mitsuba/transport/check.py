@@ -146,14 +146,17 @@ def problems_of_contacts(file: SceneFile, model: SceneModel) -> list[SceneProble
             continue
         seen.add(pair)
         name, other_name = (model.surfaces[i].name for i in pair)
-        kind, text = "overlap", f"{name} (line {file.line_of(name)}) and {other_name} "
+        kind, line = "overlap", file.place_of_id(name)[1]
+        text = f"{name} (line {line}) and {other_name} "
         if distance < 1e-6 * model.size_mm:
             text += "lie on each other"
             mend = "an interface is ONE surface that names both indices: take one of them away"
         else:
             kind, apart = "thin_gap", f"are {distance:.3g} mm apart"
             text += f"{apart}, too thin for single precision in a scene of this size"
-            mend = f"make the gap at least {_round_up(narrowest):g} mm, or one single face"
+            power = 10.0 ** np.floor(np.log10(narrowest))  # of one significant digit, rounded up
+            least = np.ceil(narrowest / power) * power
+            mend = f"make the gap at least {least:g} mm, or one single face"
         problems.append(SceneProblem(kind, text, mend, *file.place_of_id(other_name)))
     return problems
 
@@ -168,12 +171,6 @@ def _overlap(first: FlatFace, second: FlatFace) -> bool:
         if (np.minimum(face.margin(points), opposite.margin(points)) > 1e-6).any():
             return True
     return False
-
-
-def _round_up(value: float) -> float:
-    """Next number of one significant digit."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(np.ceil(value / power) * power)
 
 
 def _problems_of_detector(simulation: Simulation) -> list[SceneProblem]:

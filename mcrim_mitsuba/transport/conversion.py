@@ -177,7 +177,7 @@ def _let_wrappings_touch(scene, surfaces, shapes, faces, walls, volumes) -> list
     for shape in wraps:
         inner, outer = (OUTSIDE if m is None else names.index(m.id()) for m in _media(shape))
         wrapping = Surface(shape.id(), inner, outer, **_followed(shape, inner, outer))
-        wrapped = WrappedFaces.of(shape, wrapping, surfaces, rims)
+        wrapped = WrappedFaces(shape, wrapping, surfaces, rims)
         within = wrapped.volumes(volumes)
         notes += wrapped.looseness(within)
         if shape.contact or shape.is_paint:

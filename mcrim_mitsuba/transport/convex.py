@@ -143,7 +143,7 @@ def _round_wall(model: SceneModel, volume: int) -> tuple[int, ...]:
     """Indices of the walls that are all of the round wall around a volume; none if it has none."""
     numbers = [i for i, wall in enumerate(model.walls) if model.within(wall) == volume]
     # in the order of their heights
-    numbers.sort(key=lambda i: -np.inf if (above := model.walls[i].above_mm) is None else above)
+    numbers.sort(key=lambda i: model.walls[i].above_mm)
     walls = [model.walls[i] for i in numbers]
     if not walls or any(volume == model.around(wall) for wall in model.walls):
         return ()
@@ -151,11 +151,8 @@ def _round_wall(model: SceneModel, volume: int) -> tuple[int, ...]:
         np.allclose(_ends_and_circle(wall), _ends_and_circle(walls[0]), atol=slack_of(model))
         for wall in walls
     )
-    heights = [(wall.above_mm, wall.below_mm) for wall in walls]
-    if len(walls) == 1:
-        whole = heights == [(None, None)]
-    else:
-        whole = len(walls) == 2 and heights[0] == (None, heights[1][0]) and heights[1][1] is None
+    ends = [-np.inf, *(wall.below_mm for wall in walls)]
+    whole = ends == [*(wall.above_mm for wall in walls), np.inf] and len(walls) <= 2
     return tuple(numbers) if same and whole else ()
 
 
@@ -527,12 +524,11 @@ class _Mantle:
         assert solid.circle is not None
         self.disc = Disc(solid.circle, number)
         self._numbers = [len(model.flat_faces) + wall for wall in solid.walls]
-        below_mm = model.walls[solid.walls[0]].below_mm
-        self._level = None if below_mm is None else number(below_mm)
+        self._level = number(model.walls[solid.walls[0]].below_mm)
 
     def met_at(self, ray: Ray, t):
         """Number (UInt32) of the face that is met at some distance."""
-        if self._level is None:
+        if len(self._numbers) == 1:
             return mi.UInt32(self._numbers[0])
         z = dr.fma(t, ray.direction.z, ray.origin.z)
         return _choice(z <= self._level, *self._numbers)

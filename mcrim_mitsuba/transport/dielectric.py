@@ -71,7 +71,9 @@ def split(direction, field, facing, ratio, cos_i, choice):
     new_direction = dr.normalize(dr.select(reflected, mirrored, bent))
     new_field = None
     if field is not None:
-        new_field = _field_after(waves, reflected, matched, new_direction, field)
+        s, *both = waves
+        amplitudes = (dr.select(reflected, r, t) for r, t in zip(*both, strict=True))
+        new_field = dr.select(matched, field, field_of(amplitudes, s, new_direction))
     return new_direction, new_field, reflected
 
 
@@ -109,15 +111,6 @@ def _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2):
     t_s, t_p = 2.0 * ratio * cos_i / den_s, 2.0 * ratio * cos_i / den_p
     reflectance = dr.squared_norm(r_s * e_s) + dr.squared_norm(r_p * e_p)
     return reflectance, (s, (r_s * e_s, r_p * e_p), (t_s * e_s, t_p * e_p))
-
-
-def _field_after(waves, reflected, matched, new_direction, old):
-    """The field after reflection or refraction, normalised to one photon."""
-    s, by_reflection, by_refraction = waves
-    amplitudes = (
-        dr.select(reflected, r, t) for r, t in zip(by_reflection, by_refraction, strict=True)
-    )
-    return dr.select(matched, old, field_of(amplitudes, s, new_direction))
 
 
 def field_of(amplitudes, s, direction):

@@ -143,9 +143,8 @@ class FlatPath:
         #: Where flights pass over total reflections.
         self.folded = next((b for b in self._bodies if isinstance(b, FoldedBody)), None)
         #: What leads light through the film before a wrapping.
-        filmed = [] if polarization else [solid for solid in solids if solid.volume == fold]
-        films = (film_before(model, solid) for solid in filmed)
-        film = next((film for film in films if film is not None), None)
+        wrapped = None if polarization else next((s for s in solids if s.volume == fold), None)
+        film = None if wrapped is None else film_before(model, wrapped)
         self.film = None if film is None else FilmTrips(model, film)
         #: What leads it to and fro between a wrapping's mirrors.
         self.shuttle = None
@@ -179,7 +178,18 @@ class FlatPath:
             np.abs(v).max() > AXIS_ALIGNED * np.linalg.norm(v) for v in (face.normal, *edges)
         )
         if not aligned:
-            return self._oblique(face)
+            # Rows of the dual basis give the coordinates along the edges; they are divided
+            # so that a slack in mm can be compared with them.
+            dual = np.linalg.inv(np.column_stack([*edges, face.normal]))[:2]
+            extent = 1.0 / np.linalg.norm(dual, axis=1)
+            return _Oblique(
+                triangle=face.triangle,
+                normal=opaque_vector(face.normal),
+                corner=opaque_vector(face.corner),
+                dual=[opaque_vector(row * size) for row, size in zip(dual, extent, strict=True)],
+                extent=[opaque([size]) for size in extent],
+                slack=self._number(self._slack_mm),
+            )
         far = face.corner + face.edge_u + face.edge_v
         middle, half = (face.corner + far) / 2, np.abs(far - face.corner) / 2
         others = [other for other in range(3) if other != axis]
@@ -191,22 +201,6 @@ class FlatPath:
             middle={i: self._number(middle[i]) for i in others if abs(middle[i]) > self._slack_mm},
             half={i: self._number(half[i] + self._slack_mm) for i in others},
             circle=None if face.circle is None else Disc(face.circle, self._number),
-        )
-
-    def _oblique(self, face) -> _Oblique:
-        """A face at any angle."""
-        # Rows of the dual basis give the coordinates along the edges; they are divided
-        # so that a slack in mm can be compared with them.
-        basis = np.column_stack([face.edge_u, face.edge_v, face.normal])
-        dual = np.linalg.inv(basis)[:2]
-        extent = 1.0 / np.linalg.norm(dual, axis=1)
-        return _Oblique(
-            triangle=face.triangle,
-            normal=opaque_vector(face.normal),
-            corner=opaque_vector(face.corner),
-            dual=[opaque_vector(row * length) for row, length in zip(dual, extent, strict=True)],
-            extent=[opaque([length]) for length in extent],
-            slack=self._number(self._slack_mm),
         )
 
     def intersect(self, ray_o, ray_d, last_face, volume, rng=None):
@@ -268,13 +262,12 @@ class FlatPath:
         faced = here[within] | (here[around] & ~on_it)
         return [(t, faced & (t > self._behind) & near)]
 
-    def _between(self, ray: Ray, t, axis: int, low: float | None, high: float | None):
+    def _between(self, ray: Ray, t, axis: int, low: float, high: float):
         """Whether a point of the ray lies between two levels on an axis, as far as there are."""
-        if low is None and high is None:
-            return mi.Mask(True)
-        along = dr.fma(t, ray.direction[axis], ray.origin[axis])
-        above = mi.Mask(True) if low is None else along >= self._number(low)
-        return above if high is None else above & (along <= self._number(high))
+        along, between = dr.fma(t, ray.direction[axis], ray.origin[axis]), mi.Mask(True)
+        if low > -np.inf:
+            between &= along >= self._number(low)
+        return between & (along <= self._number(high)) if high < np.inf else between
 
     @staticmethod
     def face_of(face):

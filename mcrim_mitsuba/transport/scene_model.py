@@ -23,6 +23,9 @@ OUTSIDE = 0
 #: Ids that no medium may have: the volume outside, and what else light is absorbed by.
 RESERVED_NAMES = ("outside", "aperture", "reflector", "surface")
 
+#: Points on the rim of what is round.
+AROUND = 180
+
 # Surface kinds, as stored in the tables of the loop.
 DIELECTRIC, DETECTOR, DIFFUSE, OTHER = range(4)
 KIND_NAMES = ("dielectric", "detector", "diffuse reflector", "other")
@@ -174,10 +177,10 @@ class Circle:
         """In mm2."""
         return math.pi * self.radius_mm**2
 
-    def points(self, level_mm: float, count: int = 180) -> np.ndarray:
-        """Points around it at a level on its axis, shape (count, 3), mm."""
-        angle = 2.0 * np.pi * np.arange(count) / count
-        points = np.full((count, 3), level_mm)
+    def points(self, level_mm: float) -> np.ndarray:
+        """Points around it at a level on its axis, shape (`AROUND`, 3), mm."""
+        angle = 2.0 * np.pi * np.arange(AROUND) / AROUND
+        points = np.full((AROUND, 3), level_mm)
         away = self.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
         points[:, self.across] = away + self.centre_mm
         return points
@@ -200,10 +203,9 @@ class RoundWall:
     #: Whether normals point away from the axis: its interior is what lies within. Else that is what
     #: lies around it.
     outwards: bool = False
-    #: Of one that lies, the height up to which it is there; ``None``: all around.
-    below_mm: float | None = None
-    #: The same, from which on it is there.
-    above_mm: float | None = None
+    #: Of one that lies, the heights up to which, and from which on, it is there: else all around.
+    below_mm: float = math.inf
+    above_mm: float = -math.inf
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest coordinates: float64, shape (3,), mm."""
@@ -213,10 +215,7 @@ class RoundWall:
         centre = np.array(circle.centre_mm)
         across = list(circle.across)
         low[across], high[across] = centre - circle.radius_mm, centre + circle.radius_mm
-        if self.below_mm is not None:
-            high[2] = self.below_mm
-        if self.above_mm is not None:
-            low[2] = self.above_mm
+        low[2], high[2] = max(low[2], self.above_mm), min(high[2], self.below_mm)
         if circle.axis != 2:
             # a strip that does not reach as far up, or down, as the axis is narrower
             away = max(low[2] - centre[1], centre[1] - high[2], 0.0)
@@ -226,13 +225,9 @@ class RoundWall:
 
     def margin(self, points: np.ndarray) -> np.ndarray:
         """How far within its ends and heights points, shape (n, 3), lie, mm."""
-        along = points[:, self.circle.axis]
-        margin = np.minimum(along - self.low_mm, self.high_mm - along)
-        if self.below_mm is not None:
-            margin = np.minimum(margin, self.below_mm - points[:, 2])
-        if self.above_mm is not None:
-            margin = np.minimum(margin, points[:, 2] - self.above_mm)
-        return margin
+        along, z = points[:, self.circle.axis], points[:, 2]
+        within = np.minimum(along - self.low_mm, self.high_mm - along)
+        return np.minimum(within, np.minimum(self.below_mm - z, z - self.above_mm))
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import drjit as dr
@@ -25,8 +26,10 @@ STRAIGHT_ACROSS = 1e-6
 NO_MASK = 1e18
 
 
+#: Columns of the tables that are there where a surface has such a number.
+_PLAIN = "contact painted surface_loss ground_loss haze specular mask_reflectance detector"
 #: Optional columns of the tables: of which surfaces they matter, and what `SurfaceRow` calls them.
-_COLUMNS: tuple[tuple[Callable[[Surface], Any], dict[str, Callable[[Surface], float]]], ...] = (
+_COLUMNS: tuple[tuple[Callable[[Surface], Any], Mapping[str, Callable[[Surface], Any]]], ...] = (
     (
         lambda s: s.aperture_radius_mm < math.inf,
         {"radius": lambda s: min(s.aperture_radius_mm, NO_MASK)},
@@ -43,8 +46,6 @@ _COLUMNS: tuple[tuple[Callable[[Surface], Any], dict[str, Callable[[Surface], fl
         lambda s: (s.wrapping or s).mirror_part,
         {"mirror_part": lambda s: (s.wrapping or s).mirror_part},
     ),
-    (lambda s: s.contact, {"contact": lambda s: s.contact}),
-    (lambda s: s.painted, {"painted": lambda s: s.painted}),
     (
         lambda s: s.contact_above_mm > -math.inf,
         {"contact_above_mm": lambda s: max(s.contact_above_mm, -NO_MASK)},
@@ -56,14 +57,9 @@ _COLUMNS: tuple[tuple[Callable[[Surface], Any], dict[str, Callable[[Surface], fl
             "radial_falloff": lambda s: s.radial_falloff_per_mm2,
         },
     ),
+    *((attrgetter(name), {name: attrgetter(name)}) for name in _PLAIN.split()),
     (lambda s: s.least_cosine > STRAIGHT_ACROSS, {"least_cosine": lambda s: s.least_cosine}),
     (lambda s: s.roughness, {"roughness": lambda s: -s.roughness if s.beckmann else s.roughness}),
-    (lambda s: s.surface_loss, {"surface_loss": lambda s: s.surface_loss}),
-    (lambda s: s.ground_loss, {"ground_loss": lambda s: s.ground_loss}),
-    (lambda s: s.haze, {"haze": lambda s: s.haze}),
-    (lambda s: s.specular, {"specular": lambda s: s.specular}),
-    (lambda s: s.mask_reflectance, {"mask_reflectance": lambda s: s.mask_reflectance}),
-    (lambda s: s.detector, {"detector": lambda s: s.detector}),
 )
 
 

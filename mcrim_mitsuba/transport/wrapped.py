@@ -7,7 +7,7 @@ the film of air behind one, or the reflector.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -49,37 +49,28 @@ def outlines(
     return [rim or [np.array(box_of(shape))] for rim, shape in zip(rims, shapes, strict=True)]
 
 
-@dataclass(frozen=True)
 class WrappedFaces:
-    """The faces around a wrapping, and how they lie to its bounds."""
+    """The faces around a wrapping, and how they lie to its bounds.
 
-    #: The plugin's shape, and what its reflector is.
-    shape: Any
-    wrapping: Surface
-    surfaces: Sequence[Surface]
-    #: Of each surface, how far beyond each bound its faces lie at least and at most, mm: float64,
-    #: shape (faces, 2, bounds).
-    reaches: Sequence[np.ndarray]
+    `shape` is the plugin's, `wrapping` what its reflector is, and `rims` are the `outlines` of all
+    surfaces.
+    """
 
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         shape: Any,
         wrapping: Surface,
         surfaces: Sequence[Surface],
         rims: Sequence[Sequence[np.ndarray]],
-    ) -> WrappedFaces:
-        """Those of a scene, from the `outlines` of its surfaces."""
-        reaches = []
+    ) -> None:
+        self.shape, self.wrapping, self.surfaces = shape, wrapping, surfaces
+        self.rounding = _ROUNDING * float(np.abs(shape.offsets).max())  # in mm
+        #: Of each surface, how far beyond each bound its faces lie at least and at most, mm:
+        #: float64, shape (faces, 2, bounds).
+        self.reaches = []
         for rim in rims:
             beyond = [shape.beyond(points) for points in rim]
-            reaches.append(np.array([(b.min(axis=1), b.max(axis=1)) for b in beyond]))
-        return cls(shape, wrapping, surfaces, reaches)
-
-    @property
-    def rounding(self) -> float:
-        """In mm."""
-        return _ROUNDING * float(np.abs(self.shape.offsets).max())
+            self.reaches.append(np.array([(b.min(axis=1), b.max(axis=1)) for b in beyond]))
 
     def volumes(self, volumes: Sequence[Volume]) -> set[int]:
         """Those that it is around; InputError for one that it cuts."""

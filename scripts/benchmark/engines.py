@@ -25,6 +25,7 @@ from mcrim_mitsuba.core.run import processors
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.reference.tracer import TracerResult, trace
+from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation
@@ -222,7 +223,7 @@ def _scalar(coupling: str, *, program: Path, unfold: bool = False) -> Sampler:
 def trace_timed(n_gap: float, photons: int, seed: int) -> tuple[TracerResult, float]:
     """The independent tracer, and the processor time that it took in this process, s."""
     begin = time.process_time()
-    found = trace(SCENE, photons, seed, overrides={"n_gap": n_gap}, threads=1)
+    found = trace(read_scene(SCENE, {"n_gap": n_gap}), photons, seed, threads=1)
     return found, time.process_time() - begin
 
 

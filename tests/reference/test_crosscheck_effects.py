@@ -47,7 +47,7 @@ def test_weak_haze_frees_trapped_light_as_in_both_programs(scenes):
     hazy = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.01, "n_gap": 1.46}
     scene = scene.edited(add("surface_haze", scene, {"rms_roughness_nm": 2.0}))
     ours = Simulation(scene, hazy, check=False).collect(400_000, seed=23)
-    other = trace(scene, 40_000, seed=24, overrides=hazy, max_depth=200_000)
+    other = trace(scene.with_overrides(hazy), 40_000, seed=24, max_depth=200_000)
     assert abs(ours.eta - other.eta) < 4.5 * math.hypot(ours.eta_sigma, other.eta_sigma)
 
 

@@ -20,6 +20,7 @@ from mcrim_mitsuba.reference.faces import (
     with_round_hole,
 )
 from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.scene.scene_file import read_scene
 
 AIR, PLATE = 1.0, 1.52
 X, Y, Z = np.eye(3)
@@ -218,10 +219,10 @@ def test_typed_faces_are_those_of_the_scene(name, scenes):
         polarised=more.get("polarised", False),
     )
     numbers = dict(numbers)
-    scene, overrides = numbers.pop("scene", None), None
-    scene, overrides = (scenes / scene, numbers) if scene else (bench_scene(**numbers), None)
+    scene = numbers.pop("scene", None)
+    scene = read_scene(scenes / scene, numbers) if scene else bench_scene(**numbers)
     by_hand = trace(typed, 20_000, 3).counts
-    read = trace(scene, 20_000, 3, overrides=overrides).counts
+    read = trace(scene, 20_000, 3).counts
     assert by_hand["lost"] == 0
     # rounding decides otherwise for a few at most; that of exactly normal incidence for many
     most = {fate: 5.0 * math.sqrt(2.0 * n) if name == "beam" else 4 for fate, n in read.items()}

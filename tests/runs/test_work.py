@@ -45,7 +45,7 @@ from mcrim_mitsuba.runs.executors import (
     pickled,
     use_executor,
 )
-from mcrim_mitsuba.runs.scene_units import PortableScene
+from mcrim_mitsuba.runs.scene_units import PortableScene, unpacked
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation
@@ -433,7 +433,7 @@ def test_a_unit_needs_no_files_elsewhere(scenes, tmp_path):
     portable = pickle.loads(pickle.dumps(PortableScene.of(scene)))
     (path.parent / "meshes" / "a.ply").unlink()
     path.unlink()
-    elsewhere = portable.unpacked()
+    elsewhere = unpacked(portable)
     assert elsewhere.content_hash == portable.content_hash and elsewhere.path != path
     assert (elsewhere.path.parent / "meshes" / "a.ply").read_text() == "a mesh"
     # a mesh that lies above the folder stays where it is, and another one is noticed
@@ -441,10 +441,10 @@ def test_a_unit_needs_no_files_elsewhere(scenes, tmp_path):
     outside.write_text("one")
     path.write_text(text.replace("</scene>", named.replace("meshes/a.ply", str(outside))))
     portable = PortableScene.of(read_scene(path))
-    assert portable.unpacked().content_hash == portable.content_hash
+    assert unpacked(portable).content_hash == portable.content_hash
     outside.write_text("two")
     with pytest.raises(InputError, match="does not see the same files"):
-        PortableScene(portable.path, portable.content_hash, portable.text + b" ", ()).unpacked()
+        unpacked(PortableScene(portable.path, portable.content_hash, portable.text + b" ", ()))
 
 
 def test_an_own_effect_travels_with_the_unit(scenes, tmp_path):

@@ -48,8 +48,8 @@ def test_elements_have_names_put_in_and_the_line_where_they_start(tmp_path):
     scene = read_scene(write(tmp_path, SCENE))
     assert [e.get("value") for e in scene.root.iter("float")] == ["2.01", "1.00"]
     assert [e.get("z") for e in scene.root.iter("translate")] == ["-0.05", "-0.05"]
-    assert scene.line_of("top") == 19  # its tag ends on line 20
-    assert scene.line_of("crystal") == 27  # not the <ref>
+    assert scene.place_of_id("top")[1] == 19  # its tag ends on line 20
+    assert scene.place_of_id("crystal")[1] == 27  # not the <ref>
     assert scene.place_of(scene.root.find("shape")) == (scene.path, 19)
 
 

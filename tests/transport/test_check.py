@@ -266,7 +266,7 @@ def test_an_index_left_out_is_missed_where_its_bsdf_is_written(tmp_path):
     path = tmp_path / "scene.xml"
     path.write_text(BROKEN["outer index left out"][0])
     (problem,) = check_scene(path).problems
-    assert problem.line == read_scene(path).line_of("crystal_to_air")
+    assert problem.line == read_scene(path).place_of_id("crystal_to_air")[1]
 
 
 @cases("overrides", "words")

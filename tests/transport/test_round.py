@@ -17,6 +17,7 @@ from scipy.integrate import dblquad
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.convex import convex_solids
 from mcrim_mitsuba.transport.simulation import Simulation
 from mcrim_mitsuba.transport.solid_names import form_of
@@ -96,8 +97,7 @@ def test_light_is_trapped_in_a_long_cylinder(tmp_path, axis, n):
 @pytest.mark.parametrize("n_gap", [1.0, 1.46])
 def test_a_standing_cylinder_as_the_numpy_tracer_has_it(scenes, n_gap):
     ours = Simulation(scenes / "camoo4_cylinder.xml", {"n_gap": n_gap}).collect(1_400_000, seed=2)
-    bench = scenes / "camoo4_cylinder.xml"
-    reference = trace(bench, 350_000, 3, overrides={"n_gap": n_gap})
+    reference = trace(read_scene(scenes / "camoo4_cylinder.xml", {"n_gap": n_gap}), 350_000, 3)
     assert reference.eta_sigma < 0.003 * reference.eta
     assert_same_light(ours, reference, z_max=Z)
 

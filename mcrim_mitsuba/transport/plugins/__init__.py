@@ -40,6 +40,15 @@ def number(props, name: str, default: float, low: float = 0.0, high: float = 1.0
     return value
 
 
+def sizes(props, *names: str) -> list[float]:
+    """Lengths of a plugin's; raises ValueError for one that is not above 0."""
+    lengths = [float(props[name]) for name in names]
+    for name, length in zip(names, lengths, strict=True):
+        if not length > 0.0:
+            raise ValueError(f"{name} is {length:g}; give a positive number")
+    return lengths
+
+
 #: What ``axis`` of a beam, and of its detector, may be.
 BEAM_AXES = ("x", "y", "z")
 

@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mcrim_mitsuba.core.numbers import LARGEST_INDEX
+from mcrim_mitsuba.optics.emission_band import USUAL_NM
 from mcrim_mitsuba.optics.thin_film import ThinFilm, cathode_index
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.plugins import described, number
@@ -125,7 +126,7 @@ class Photodetector(mi.BSDF):
             setattr(self, name, number(props, name, 0.0))
         self.angular_falloff = number(props, "angular_falloff", 0.0, low=-1.0)
         self.cathode_nm = number(props, "cathode_nm", 0.0, high=THICKEST_NM)
-        self.wavelength_nm = number(props, "wavelength_nm", 540.0, low=100.0, high=1e4)
+        self.wavelength_nm = number(props, "wavelength_nm", USUAL_NM, low=100.0, high=1e4)
         self.cathode_n = number(props, "cathode_n", 0.0, high=LARGEST_INDEX)
         self.cathode_k = number(props, "cathode_k", 0.0, high=LARGEST_INDEX)
         if bool(self.cathode_n) != bool(self.cathode_k):
@@ -230,7 +231,7 @@ class Polish(mi.BSDF):
         self.surface_loss = number(props, "surface_loss", 0.0)
         self.ground_loss = number(props, "ground_loss", 0.0)
         self.rms_roughness_nm = number(props, "rms_roughness_nm", 0.0, high=HIGHEST_NM)
-        self.wavelength_nm = number(props, "wavelength_nm", 540.0, low=100.0, high=1e4)
+        self.wavelength_nm = number(props, "wavelength_nm", USUAL_NM, low=100.0, high=1e4)
         self.smooth = mi.load_dict(
             {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior}, parallel=False
         )

@@ -16,7 +16,7 @@ from mcrim_mitsuba.transport.bulk import CollimatedBeam, CrystalVolume, read_cry
 from mcrim_mitsuba.transport.collection import Launcher, collect, slope_along
 from mcrim_mitsuba.transport.conversion import read_scene_model
 from mcrim_mitsuba.transport.launch_plan import FateTally
-from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis, described, number
+from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis, described, number, sizes
 
 #: That ``mitsuba.render`` follows where nobody says how many.
 PHOTONS = 1_000_000
@@ -220,17 +220,9 @@ class ScintillationEmitter(mi.Emitter):
     def bbox(self):
         return mi.ScalarBoundingBox3f()
 
-    traverse, _ = described(
+    traverse, to_string = described(
         "source_depth_mm", "side_depth_mm", "source_z_mm", "source_width_mm", "source_across_mm"
     )
-
-    def to_string(self) -> str:
-        return (
-            f"ScintillationEmitter[medium = {self.medium.id()}, "
-            f"source_depth_mm = {self.source_depth_mm}, side_depth_mm = {self.side_depth_mm}, "
-            f"source_z_mm = {self.source_z_mm}, source_width_mm = {self.source_width_mm}, "
-            f"source_across_mm = {self.source_across_mm}]"
-        )
 
 
 mi.register_emitter("scintillation", ScintillationEmitter)
@@ -251,9 +243,7 @@ class CollimatedBeamEmitter(ScintillationEmitter):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.axis = beam_axis(props)
-        self.diameter_mm = float(props["diameter"])
-        if not self.diameter_mm > 0.0:
-            raise ValueError(f"the beam's diameter is {self.diameter_mm:g}; give a positive number")
+        (self.diameter_mm,) = sizes(props, "diameter")
 
     def volume(self, model) -> CrystalVolume:
         """See `ScintillationEmitter.volume`."""

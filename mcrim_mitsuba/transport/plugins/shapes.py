@@ -10,7 +10,7 @@ import numpy as np
 
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.conversion import write_parameters
-from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis
+from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis, sizes
 from mcrim_mitsuba.transport.scene_model import Circle, RoundWall
 
 #: What is narrower than this part of the whole is rounding of single precision: not there.
@@ -351,11 +351,9 @@ class GapSides(Polygons):
     """
 
     def polygons(self, props, to_world):
-        width, cut = float(props["width"]), cut_fraction(props)
+        (width,), cut = sizes(props, "width"), cut_fraction(props)
         nominal = float(props["thickness"])
         thickness = nominal + float(props.get("thickness_offset", 0.0))
-        if not width > 0.0:
-            raise ValueError(f"the gap's width is {width:g}; it must be positive")
         if not thickness > 0.0:
             raise ValueError(
                 f"the gap's thickness is {nominal:g} and {thickness:g} with its offset; "
@@ -420,9 +418,7 @@ class Chamfers(Polygons):
     """
 
     def polygons(self, props, to_world):
-        width, height, leg = (float(props[name]) for name in ("width", "height", "leg"))
-        if not min(width, height) > 0.0:
-            raise ValueError("the width and the height of what is chamfered must be positive")
+        (width, height), leg = sizes(props, "width", "height"), float(props["leg"])
         if not 0.0 <= 2.0 * leg < min(width, height):
             raise ValueError(
                 f"a chamfer's leg ({leg:g}) must be positive or 0, and twice of it less than "
@@ -486,9 +482,7 @@ class BeamDetector(Polygons):
     """
 
     def polygons(self, props, to_world):
-        width, height, axis = float(props["width"]), float(props["height"]), beam_axis(props)
-        if not min(width, height) > 0.0:
-            raise ValueError("the width and the height of what the beam crosses must be positive")
+        (width, height), axis = sizes(props, "width", "height"), beam_axis(props)
         half = np.array([width, width, height]) / 2
         along = BEAM_AXES.index(axis)
         across, up = (along + 1) % 3, (along + 2) % 3

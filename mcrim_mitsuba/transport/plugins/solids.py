@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import mitsuba as mi
 import numpy as np
 
+from mcrim_mitsuba.transport.plugins import sizes
 from mcrim_mitsuba.transport.plugins.shapes import (
     Polygons,
     polygon_faces,
@@ -35,9 +36,7 @@ class Polygon(Polygons):
         width, sides = float(props["width"]), sides_of(props)
         if not width >= 0.0:
             raise ValueError(f"a polygon's width is {width:g}; give 0 or more")
-        if width == 0.0:
-            return []
-        return polygon_faces(sides, width)
+        return polygon_faces(sides, width) if width else []
 
 
 class PrismSides(Polygons):
@@ -57,10 +56,8 @@ class PrismSides(Polygons):
     """
 
     def polygons(self, props, to_world):
-        width, height, sides = float(props["width"]), float(props["height"]), sides_of(props)
+        (width, height), sides = sizes(props, "width", "height"), sides_of(props)
         top_width = float(props.get("top_width", width))
-        if not min(width, height) > 0.0:
-            raise ValueError("the width and the height of a prism must be positive")
         if not top_width >= 0.0:
             raise ValueError(f"a prism's top_width is {top_width:g}; give 0 or more")
         foot, top = (regular_polygon(sides, across) for across in (width, top_width))
@@ -78,12 +75,10 @@ class _Lying(Polygons):
 
     def _sizes(self, props: mi.Properties, to_world: np.ndarray) -> tuple[float, float, float]:
         """Radius, length, and half the width that is wet."""
-        diameter, length = float(props["diameter"]), float(props["length"])
+        diameter, length = sizes(props, "diameter", "length")
         wet = float(props["wetted_width"])
         if np.abs(to_world - np.eye(4)).max() > 0.0:
             raise ValueError("a lying cylinder lies along x on z = 0: leave to_world out")
-        if not min(diameter, length) > 0.0:
-            raise ValueError("the diameter and the length of a lying cylinder must be positive")
         if not 0.0 < wet < diameter:
             raise ValueError(
                 f"a lying cylinder's wetted_width ({wet:g}) must be positive and less than its "
@@ -117,22 +112,14 @@ class LyingMantle(_Lying):
         if keep not in ("wet", "dry"):
             raise ValueError(f"a lying_mantle's keep is {keep!r}; give wet or dry")
         is_wet, level = keep == "wet", float(_height(radius, wet))
-        circle = Circle((0.0, radius), radius, axis=0)
-        self.wall = RoundWall(
-            circle,
-            -length / 2,
-            length / 2,
-            -1,
-            outwards=True,
-            below_mm=level if is_wet else None,
-            above_mm=None if is_wet else level,
-        )
+        circle, half = Circle((0.0, radius), radius, axis=0), length / 2
+        heights = {"below_mm" if is_wet else "above_mm": level}
+        self.wall = RoundWall(circle, -half, half, -1, outwards=True, **heights)
         edge = float(np.arcsin(wet / radius))
         # from the lowest line on, against the clock seen from +x
         start, end = (-edge, edge) if is_wet else (edge, 2.0 * np.pi - edge)
         angle = np.linspace(start, end, max(2, round(_AROUND * (end - start) / 2.0 / np.pi)) + 1)
         y, z = radius * np.sin(angle), radius * (1.0 - np.cos(angle))
-        half = length / 2
         return [
             np.array(
                 [
@@ -160,9 +147,7 @@ class LyingFillet(_Lying):
 
     def polygons(self, props, to_world):
         radius, length, wet = self._sizes(props, to_world)
-        thickness = float(props["thickness"])
-        if not thickness > 0.0:
-            raise ValueError(f"a lying_fillet's thickness is {thickness:g}; it must be positive")
+        (thickness,) = sizes(props, "thickness")
         half, level = length / 2, float(_height(radius, wet))
         x, y, z = np.diag([length, 2.0 * wet, thickness + level])
         low = np.array([-half, -wet, -thickness])

@@ -13,10 +13,8 @@ from mcrim_mitsuba.transport.plugins.shapes import (
     regular_polygon,
     sides_of,
 )
-from mcrim_mitsuba.transport.scene_model import Circle, RoundWall
+from mcrim_mitsuba.transport.scene_model import AROUND, Circle, RoundWall
 
-#: Sides of the polygon around a round wrapping, which is drawn; as many as `Circle.points`.
-_AROUND = 180
 #: What ``without`` may name besides the sides of four.
 TOP = "top"
 SIDES = "sides"
@@ -79,7 +77,7 @@ class Wrapping(Polygons):
             raise ValueError("a wrapping's width and height must be positive, its film 0 or more")
         self.contact, self.specular = (number(props, n, 0.0) for n in ("contact", "specular"))
         self.bare = self.height * number(props, "missing", 0.0, high=0.99)
-        count = _AROUND if self.round else sides_of(props)
+        count = AROUND if self.round else sides_of(props)
         sides = FOUR if count == 4 else (SIDES,) * count
         words = str(props.get("without", NONE)).replace(",", " ").split()
         self.without = [] if words == [NONE] else words
