@@ -200,9 +200,14 @@ class Planning:
         """The set of configurations that could become most precise, and how precise."""
         return min(self.floors.items(), key=lambda item: (item[1].total, len(item[0])))
 
+    @property
+    def is_numbered(self) -> bool:
+        """Whether sets are told by numbers: where configurations differ in more than one name."""
+        return len({name for at in self.candidates for name in at.parameters}) > 1
+
     def number(self, configurations: Sequence[int]) -> str:
-        """``1 + 3``, places among `candidates`; the `name` where these differ in one number."""
-        if len({name for at in self.candidates for name in at.parameters}) == 1:
+        """``1 + 3``, places among `candidates`; the `name` where these are not numbered."""
+        if not self.is_numbered:
             return self.name(configurations)
         return " + ".join(str(place + 1) for place in configurations)
 

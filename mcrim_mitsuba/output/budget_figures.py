@@ -294,7 +294,9 @@ def draw_plan(planning: Planning) -> style.Drawing:
         statistical.plot(events, curves[couplings][0], label=label, **look)
         total.plot(events, curves[couplings][1], **look)
     _finish_plan(statistical, total, planning.wanted)
-    words = f"{counted(mountings, 'mounting')} of each coupling"
+    for place, at in enumerate(planning.candidates if planning.is_numbered else (), 1):
+        total.plot([], [], " ", label=style.in_lines(f"{place}: {at.name}", 40))
+    words = f"{counted(mountings, 'mounting')} of each"
     if useless := len(curves) - len(useful):
         words += f"; not drawn: {counted(useless, 'set')} with errors above {most:.0f} %"
     figure.suptitle(words, x=0.01, ha="left", fontsize=11)

@@ -369,7 +369,7 @@ def test_a_useless_set_of_couplings_squeezes_no_other():
         for events in (1e3, 1e4)
     ]
     named = {"cheapest": plans[0], "cheapest_statistical": None, "wanted": 0.07, "name": str}
-    drawing = budget.draw_plan(SimpleNamespace(plans=plans, number=str, **named))
+    drawing = budget.draw_plan(SimpleNamespace(plans=plans, number=str, is_numbered=False, **named))
     _, total = drawing.figure.axes
     assert total.get_ylim()[1] < 20 and not total.texts
     assert "not drawn: 1 set with errors above 21 %" in drawing.figure.get_suptitle()
@@ -377,3 +377,9 @@ def test_a_useless_set_of_couplings_squeezes_no_other():
     labels = [text.get_text() for text in legend.get_texts()]
     assert labels == ["(0, 1)", "(0, 2)", "wanted: 7.0 %"]
     assert len(drawing.rows) == len(plans)  # the numbers have all
+    # what sets are told by, where their names would be long
+    parts = [SimpleNamespace(name=name) for name in ("air, wrapped", "grease, wrapped", "bare")]
+    numbered = SimpleNamespace(plans=plans, number=str, is_numbered=True, candidates=parts, **named)
+    (legend,) = budget.draw_plan(numbered).figure.legends
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert labels[-3:] == ["1: air, wrapped", "2: grease, wrapped", "3: bare"]
