@@ -310,6 +310,8 @@ def _problems_of_defaults(file: SceneFile) -> Iterator[SceneProblem]:
             if element.named(name) is None:
                 text = f"a {element.type} without {name}: Mitsuba would take {default}"
                 mend = f'write <float name="{name}" value="..."/>'
+                if element.type == "roughdielectric":
+                    mend += ', or type="dielectric" for a polished face'
                 yield SceneProblem("surface", text, mend, *file.place_of(element))
 
 
