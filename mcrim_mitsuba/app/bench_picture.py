@@ -100,7 +100,10 @@ def _added(
         * any(map(size, (*_ROUGHNESSES, f"{face}_roughness_alpha", f"ground_{face}_alpha")))
         for face in ("top", "side", "bottom")
     }
-    white = size("top_reflectance", "wrap_reflectance")
+    lid, wrap = size("top_reflectance"), size("wrap_reflectance")
+    # whatever the parameter is called that says which faces a wrapping leaves bare
+    bare = " ".join(text for text in values.values() if isinstance(text, str)).split()
+    covers = {face: wrap * (face not in bare) for face in ("top", "sides")}
     bars = [
         ("air", x, foot, filled * bubble * wide, gap["height"]),
         ("air", x + 0.5 * (1.0 - disc) * wide, foot, filled * disc * wide, gap["height"]),
@@ -109,9 +112,10 @@ def _added(
         *(("air", left, y, rough["side"], tall) for left in (x, right - _ROUGH)),
         ("air", x, y, wide, rough["top"]),
         ("air", x, foot - _ROUGH, wide, rough["bottom"]),
-        ("mask", x, y - _MASK, wide, _MASK * bool(white)),
+        ("mask", x, y - _MASK, wide, _MASK * bool(lid or covers["top"])),
+        *(("mask", at, y, _MASK * bool(covers["sides"]), tall) for at in (x - _MASK, right)),
     ]
-    look = {"mask": {"opacity": 1.0 - 0.7 * white}}
+    look = {"mask": {"opacity": 1.0 - 0.7 * max(lid, wrap)}}
     return [
         {"kind": kind, **dict(zip(_SIDES, sides, strict=True)), **look.get(kind, {})}
         for kind, *sides in bars

@@ -16,6 +16,7 @@ BENCH = {
     "aperture_radius_mm": 14.0,
 }
 LIGHT = SimpleNamespace(of_beam=False)
+BARE = ("none", "top", "sides", "top sides")
 
 
 def shapes(**more) -> list[dict]:
@@ -44,6 +45,12 @@ def test_rough_faces_reflectors_and_an_offset_mask_are_seen():
     assert len(shapes(rms_roughness_nm=5.0)) == len(shapes()) + 4
     assert len(shapes(ground_top_alpha=0.3)) == len(shapes()) + 1
     assert shapes(top_reflectance=0.9)[-1]["kind"] == "mask"
+    # a wrapping is on the sides too, where it is not taken off
+    faces = {bare: shapes(wrap_reflectance=0.98, bare=bare)[len(shapes()) :] for bare in BARE}
+    assert [len(faces[bare]) for bare in BARE] == [3, 2, 1, 0]
+    assert faces["sides"][0]["y"] < faces["top"][0]["y"] and {
+        shape["kind"] for shape in faces["none"]
+    } == {"mask"}
     left, right = (s for s in shapes(aperture_radius_mm=9.0, mask_offset_mm=4.0)[4:])
     assert left["width"] > 5 * right["width"] > 0
     # without a liquid there is neither bubble nor collar
