@@ -10,7 +10,7 @@ paper or a mirror, which is clear as air in rows that are without it.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -139,13 +139,14 @@ def as_in_scene(
     return by_hand | taken_off(campaign, off), off
 
 
-def taken_off(campaign: Campaign, without: Iterable[str]) -> dict[str, Value]:
+def taken_off(campaign: Campaign, without: Collection[str]) -> dict[str, Value]:
     """Parameters of the campaign's scene that take out of it what its columns switch."""
     scene, parts, values = campaign.scene, _parts_of(campaign.scene), dict[str, Value]()
+    wrapped = _bare_faces(SceneEditor(scene, {})) if parts.keys() & {*without} else {}
     for name in without:
         if name in parts:
             wrapping, faces = parts[name]
-            parameter, usual = _bare_faces(SceneEditor(scene, {}), wrapping)
+            parameter, usual = wrapped[wrapping]
             bare = f"{values.get(parameter, usual)} {faces}".replace(",", " ").split()
             values[parameter] = " ".join(face for face in dict.fromkeys(bare) if face != "none")
         elif f"{name}_surface" in scene.parameters:
@@ -155,15 +156,17 @@ def taken_off(campaign: Campaign, without: Iterable[str]) -> dict[str, Value]:
     return values
 
 
-def _bare_faces(editor: SceneEditor, name: str) -> tuple[str, str]:
-    """The parameter that says which faces a wrapping leaves bare, and its usual value."""
-    wrapping = next(w for w in editor.all("shape", "wrapping") if w.get("id", "") == name)
-    part = wrapping.named("without")
-    given = "" if part is None else part.get("value", "")
-    parameter = (
-        given.removeprefix("$") if given.startswith("$") else f"{name or 'wrapping'}_without"
-    )
-    return parameter, str(editor.scene.parameters.get(parameter, given or "none"))
+def _bare_faces(editor: SceneEditor) -> dict[str, tuple[str, str]]:
+    """The parameter that says which faces a wrapping leaves bare, and its usual value, by id."""
+    faces = {}
+    for wrapping in editor.all("shape", "wrapping"):
+        name, part = wrapping.get("id", ""), wrapping.named("without")
+        given = "" if part is None else part.get("value", "")
+        parameter = (
+            given.removeprefix("$") if given.startswith("$") else f"{name or 'wrapping'}_without"
+        )
+        faces[name] = parameter, str(editor.scene.parameters.get(parameter, given or "none"))
+    return faces
 
 
 def _with_bare_faces(campaign: Campaign) -> Campaign:
@@ -173,11 +176,11 @@ def _with_bare_faces(campaign: Campaign) -> Campaign:
     if not switched:
         return campaign
     editor = SceneEditor(campaign.scene, {})
+    wrapped = _bare_faces(editor)
     for wrapping in editor.all("shape", "wrapping"):
         name, part = wrapping.get("id", ""), wrapping.named("without")
-        parameter, usual = _bare_faces(editor, name)
-        given = "" if part is None else part.get("value", "")
-        if name not in switched or given == f"${parameter}":
+        parameter, usual = wrapped[name]
+        if name not in switched or (part is not None and part.get("value") == f"${parameter}"):
             continue
         editor.declare(parameter, usual, f"Faces that {name or 'the wrapping'} leaves bare")
         if part is None:

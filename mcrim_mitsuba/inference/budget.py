@@ -36,8 +36,11 @@ _DETECTOR = "detector_efficiency"
 _PRIORS = {ALPHA_ABS: "absorption", DEPTH_MM: "source depth"}
 
 
-def _parts_of(fit: Calibration, quantities: Quantities) -> tuple[dict[str, Array], Array]:
-    """(quantities,) parts of errors by origin, and (numbers, quantities) those of tolerances."""
+def _parts_of(fit: Calibration, quantities: Quantities) -> tuple[dict[str, Array], Array, Array]:
+    """(quantities,) parts of errors by origin, (numbers, quantities) those of tolerances, and all.
+
+    All are together (quantities,), but for the light yield's part by its detector.
+    """
     minimum = fit.minimum
     # (quantities, used readings): how a reading moves a quantity
     pulled = quantities.slopes @ minimum.response
@@ -51,21 +54,20 @@ def _parts_of(fit: Calibration, quantities: Quantities) -> tuple[dict[str, Array
     moved = pulled @ minimum.weights.errors.pedestal
     parts["pedestal"] = np.sqrt(np.square(moved).sum(axis=1))
     parts["monte_carlo"] = quantities.sigmas
-    return parts, np.abs(quantities.by_tolerances)
+    of_numbers = np.abs(quantities.by_tolerances)
+    return parts, of_numbers, np.sqrt(np.square([*parts.values(), *of_numbers]).sum(axis=0))
 
 
 def errors_of(fit: Calibration, quantities: Quantities) -> Array:
     """(quantities,) errors of all origins together, but for the light yield's by its detector."""
-    parts, of_numbers = _parts_of(fit, quantities)
-    return np.sqrt(np.square([*parts.values(), *of_numbers]).sum(axis=0))
+    return _parts_of(fit, quantities)[2]
 
 
 def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, ErrorBudget]:
     """The budget of every quantity, the detector's part of the light yield's included."""
     if any(fitted.at_bound is not None for fitted in fit.parameters.values()):
         return {}
-    parts, of_numbers = _parts_of(fit, quantities)
-    whole = errors_of(fit, quantities)
+    parts, of_numbers, whole = _parts_of(fit, quantities)
     others = np.zeros(len(quantities.names))
     for number, part in zip(fit.offsets, of_numbers, strict=True):
         if (part > BUDGETING.matters * whole).any():

@@ -294,24 +294,23 @@ def _problems_of_media(file: SceneFile) -> Iterator[SceneProblem]:
                 yield SceneProblem("index", text, mend, *file.place_of(nominal))
 
 
-#: What Mitsuba takes where a plugin is not told its most important numbers.
+#: What Mitsuba takes where a plugin is not told its most important numbers, and what may be meant
+#: besides.
 _UNTOLD = {
-    "diffuse": {"reflectance": "0.5"},
-    "homogeneous": {"sigma_t": "1 per mm", "albedo": "0.75"},
-    "hg": {"g": "0.8"},
-    "roughdielectric": {"alpha": "0.1"},
+    "diffuse": {"reflectance": ("0.5", "")},
+    "homogeneous": {"sigma_t": ("1 per mm", ""), "albedo": ("0.75", "")},
+    "hg": {"g": ("0.8", "")},
+    "roughdielectric": {"alpha": ("0.1", ', or type="dielectric" for a polished face')},
 }
 
 
 def _problems_of_defaults(file: SceneFile) -> Iterator[SceneProblem]:
     """Plugins whose most important numbers are nowhere written."""
     for element in file.root.iter("bsdf", "medium", "phase"):
-        for name, default in _UNTOLD.get(element.type, {}).items():
+        for name, (default, besides) in _UNTOLD.get(element.type, {}).items():
             if element.named(name) is None:
                 text = f"a {element.type} without {name}: Mitsuba would take {default}"
-                mend = f'write <float name="{name}" value="..."/>'
-                if element.type == "roughdielectric":
-                    mend += ', or type="dielectric" for a polished face'
+                mend = f'write <float name="{name}" value="..."/>{besides}'
                 yield SceneProblem("surface", text, mend, *file.place_of(element))
 
 
