@@ -113,6 +113,8 @@ class Campaign:
     unit: str = ""
     #: What its file wants to be repeated wherever it is fitted.
     remark: str = ""
+    #: The light yield over all that the readings allow, in words; empty: that of a fit.
+    yield_to_quote: str = ""
     #: Crystals among the readings besides the campaign's own.
     samples: dict[str, Sample] = field(default_factory=dict)
     #: How exactly the scene's numbers are known; what is not named is exact.
@@ -179,7 +181,7 @@ class Campaign:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the reader must know of scene, effects and raw data before using the numbers."""
-        notes = [*filter(None, [self.remark]), *self.scene.notes, *self.executed]
+        notes = [*self.remarks, *self.scene.notes, *self.executed]
         if self.raw is not None:
             notes += self.raw.notes
         if self.spectrum is not None:
@@ -198,9 +200,11 @@ class Campaign:
         return len(self.measurements.in_use) + len(self.priors) - len(self.free)
 
     @property
-    def yield_to_quote(self) -> str:
-        """The light yield to quote, in words, where repair wrote it into the remark; else empty."""
-        return self.remark.partition(f"{schema.QUOTED}, ")[2].partition(" (")[0]
+    def remarks(self) -> tuple[str, ...]:
+        """What every verb repeats of the campaign file."""
+        quote = self.yield_to_quote
+        over_all = "the light yield to quote is that over all that the readings allow"
+        return tuple(filter(None, (self.remark, quote and f"{over_all}, {quote}")))
 
     def with_starts(self, values: Mapping[str, float]) -> Campaign:
         """The campaign with other starts of its fit, drawn into the bounds; others stay."""
@@ -342,6 +346,7 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         title=_words(entries, "title") or document.path.stem,
         unit=_words(entries, "unit"),
         remark=_words(entries, "remark", schema.LONGEST_REMARK),
+        yield_to_quote=_words(entries, schema.TO_QUOTE, schema.LONGEST_REMARK),
         convention=choice(entries, schema.CONVENTION, schema.CAMPAIGN),
     )
     _refuse_contradictions(document, campaign)

@@ -61,9 +61,10 @@ SAME_AS = "same_as"
 
 #: Characters of a title or a unit, at most: they stand in one line of a figure.
 LONGEST_WORDS = 100
-#: The same of a remark, and what one says that has another light yield than the file's own.
+#: The same of a remark.
 LONGEST_REMARK = 1000
-QUOTED = "the light yield to quote is that over all that the readings allow"
+#: The light yield to quote of a campaign, if it is another one than that of its own fit.
+TO_QUOTE = "yield_to_quote"
 
 _FILE: dict[str, Any] = {"type": "string", "minLength": 1}
 _VALUES = {"type": "array", "items": {"type": "number"}, "minItems": 1}
@@ -271,6 +272,10 @@ CAMPAIGN: Entries = {
     "unit": _words("Unit of the signals of light, such as photoelectrons per event"),
     "remark": {
         **_words("What every verb that fits repeats among its notes; repair writes one"),
+        "maxLength": LONGEST_REMARK,
+    },
+    TO_QUOTE: {
+        **_words("The light yield over all that the readings allow, in words, as repair writes it"),
         "maxLength": LONGEST_REMARK,
     },
     CONVENTION: {

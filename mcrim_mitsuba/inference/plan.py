@@ -272,7 +272,7 @@ def plan(
         floors=floors,
         solution=fit.parameters,
         undetermined=tuple(without),
-        notes=(*filter(None, [campaign.remark]), *_doubt(fit), *simulations.provenance().notes),
+        notes=(*campaign.remarks, *_doubt(fit), *simulations.provenance().notes),
         so_far=None if anew or not expected.determined(()) else expected.errors((), 1, 1)[0],
     )
     return _rehearsed(planning, expected.measured(planning.proposed), fit, run)

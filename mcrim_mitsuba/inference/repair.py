@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
-from mcrim_mitsuba.campaign.entries import LONGEST_REMARK, QUOTED
+from mcrim_mitsuba.campaign.entries import LONGEST_REMARK, TO_QUOTE
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, refuse_to_replace, write_text
 from mcrim_mitsuba.core.run import Provenance, Run
@@ -82,8 +82,8 @@ def repair(
     campaign_path = scene_path = None
     if effects and output is not None:
         campaign_path = Path(output)
-        remark = remark_of(diagnosis, effects)
-        scene_path = write_mended(simulations.campaign, fit, campaign_path, remark)
+        told = told_by(diagnosis, effects)
+        scene_path = write_mended(simulations.campaign, fit, campaign_path, told)
     return Repaired(
         diagnosis=diagnosis,
         effects=effects,
@@ -96,13 +96,15 @@ def repair(
     )
 
 
-def write_mended(campaign: Campaign, fit: Calibration, target: Path, remark: str = "") -> Path:
-    """Write scene and campaign with a remark; returns the scene's path."""
+def write_mended(
+    campaign: Campaign, fit: Calibration, target: Path, told: Mapping[str, str] | None = None
+) -> Path:
+    """Write scene and campaign, with what is `told_by` a diagnosis; returns the scene's path."""
     scene_path = target.with_suffix(".xml")
     if scene_path.resolve() == campaign.scene.path.resolve():
         problem = f"the mended scene would replace {campaign.scene.path}"
         raise InputError(problem, "give -o another name", path=target)
-    scene, text = mended_files(campaign, fit, target, remark)
+    scene, text = mended_files(campaign, fit, target, told)
     # the campaign first: it tells that it was made here, if its scene is missing
     texts = {target: text, scene_path: text_for_folder(scene, target.parent)}
     refuse_to_replace(texts)
@@ -131,29 +133,28 @@ def mended_files(
     campaign: Campaign,
     fit: Calibration,
     target: Path,
-    remark: str = "",
+    told: Mapping[str, str] | None = None,
 ) -> tuple[SceneFile, str]:
     """The mended scene and the text of the mended campaign; nothing is written.
 
     The fit is of the campaign with more effects switched on, and its values are put into both, to
     six digits. The campaign is meant to go to `target`, its scene beside it under the same name;
-    its `remark` is as of `remark_of`.
+    what is `told_by` a diagnosis stands in it.
     """
     mended = fit.model.campaign
     fitted = rounded({name: estimate.value for name, estimate in fit.parameters.items()})
     effects = mended.effects[len(campaign.effects) :]
     starts = {name: fitted[name] for name in fit.names if name in fitted}
     scene = target.with_suffix(".xml")
-    text = campaign_with_effects(mended, target, scene, starts, remark=remark)
+    text = campaign_with_effects(mended, target, scene, starts, told=told)
     added = f"{_MENDED}{' and '.join(effects)} added.\n"
     return mended_scene(campaign, effects, fitted), added + text
 
 
-def remark_of(diagnosis: Diagnosis, effects: Sequence[str]) -> str:
-    """What every verb repeats of a campaign that was mended so: other models are possible.
+def told_by(diagnosis: Diagnosis, effects: Sequence[str]) -> dict[str, str]:
+    """What a campaign that was mended so says of it, by key: other models are possible.
 
-    It follows what the campaign's own remark says, which has the light yield to quote if an
-    earlier repair wrote it.
+    The remark follows the campaign's own, and the light yield to quote is that of the first repair.
     """
     campaign = diagnosis.baseline.model.campaign
     averaged, words = diagnosis.light_yield_averaged, []
@@ -166,10 +167,11 @@ def remark_of(diagnosis: Diagnosis, effects: Sequence[str]) -> str:
     sentence = f"{names} {'were' if len(effects) > 1 else 'was'} added by repair"
     sentence += f" ({', '.join(words)})" if words else ""
     sentence += ": what a fit of this file gives holds for this one model"
-    if averaged is not None and not campaign.yield_to_quote:
-        sentence += f", and {QUOTED}, {averaged}"
     users = campaign.remark[: LONGEST_REMARK - len(sentence) - 2]
-    return "; ".join(filter(None, (users, sentence)))
+    told = {"remark": "; ".join(filter(None, (users, sentence)))}
+    if averaged is not None and not campaign.yield_to_quote:
+        told[TO_QUOTE] = str(averaged)
+    return told
 
 
 def mended_scene(

@@ -248,11 +248,11 @@ def averaged_yield(
 
 
 def quoted(diagnosis: Diagnosis) -> str:
-    """Whether the averaged light yield is to be quoted: of a mended campaign its remark has it."""
+    """Whether the averaged light yield is to be quoted: a mended campaign says so itself."""
     other = diagnosis.baseline.model.campaign.yield_to_quote
     if not other:
         return "the one to quote"
-    return f"given what repair added; the one to quote is that of the remark, {other}"
+    return f"given what repair added; the one to quote is {other}"
 
 
 def shares_text(diagnosis: Diagnosis) -> str:

@@ -21,10 +21,10 @@ from places import SCENES
 from refusals import refusal
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.campaign.entries import LONGEST_REMARK, QUOTED
+from mcrim_mitsuba.campaign.entries import LONGEST_REMARK, TO_QUOTE
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.rounding import pdg_parts
-from mcrim_mitsuba.inference.repair import remark_of
+from mcrim_mitsuba.inference.repair import told_by
 from mcrim_mitsuba.output import photograph, report_sections
 from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output.describe_campaign import others_table
@@ -185,20 +185,19 @@ def test_a_mended_campaign_keeps_its_remark_and_the_yield_to_quote():
         minimum = SimpleNamespace(statistic=statistic)
         return replace(explained, baseline=replace(explained.baseline, minimum=minimum))
 
-    first = remark_of(of(own), (FIRST,))
-    assert first.startswith("kept in the dark; absorbing crystal surface was added by repair (the ")
-    assert first.count(QUOTED) == 1 and str(explained.light_yield_averaged) in first
+    first = told_by(of(own), (FIRST,))
+    words = first["remark"]
+    assert words.startswith("kept in the dark; absorbing crystal surface was added by repair (the ")
+    assert first[TO_QUOTE] == str(explained.light_yield_averaged)
     # the averaged yield of the mended file takes for granted what was added
-    mended = of(replace(own, remark=first))
-    words = averaged_yield(mended)
-    assert (
-        "given what repair added; the one to quote is that of the remark, 7.7 ± 0.9 ph/keV; the"
-        in words
-    )
-    second = remark_of(mended, (SECOND,))
-    assert second.startswith(f"{first}; ") and second.count(QUOTED) == 1
-    whole = remark_of(of(replace(own, remark="a" * LONGEST_REMARK)), (FIRST,))
-    assert len(whole) == LONGEST_REMARK and whole.endswith(first.partition("; ")[2])
+    once = replace(own, **first)
+    assert once.remarks[0] == words and first[TO_QUOTE] in once.remarks[1]
+    mended = of(once)
+    assert "what repair added; the one to quote is 7.7 ± 0.9 ph/keV (" in averaged_yield(mended)
+    second = told_by(mended, (SECOND,))
+    assert second.keys() == {"remark"} and second["remark"].startswith(f"{words}; ")
+    whole = told_by(of(replace(own, remark="a" * LONGEST_REMARK)), (FIRST,))["remark"]
+    assert len(whole) == LONGEST_REMARK and whole.endswith(words.partition("; ")[2])
 
 
 def test_files_are_inside_as_they_were_read(made, parsed):
