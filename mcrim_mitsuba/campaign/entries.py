@@ -10,7 +10,15 @@ import operator
 from typing import Any
 
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, COUNTED, ENERGIES_KEV, YIELDS_PER_KEV
+from mcrim_mitsuba.core.numbers import (
+    ALPHA_ABS,
+    ALPHA_SCAT,
+    COUNTED,
+    ENERGIES_KEV,
+    IN_KEV,
+    PER_KEV,
+    YIELDS_PER_KEV,
+)
 from mcrim_mitsuba.core.toml_document import TomlTable
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.laboratory.peak import SHAPES
@@ -358,7 +366,7 @@ _BEYOND = {
     "transmittance": (_BETWEEN, "give a fraction: 0.76 for 76 %"),
     "thickness_sigma_mm": ("is below 0", _ERROR),
     "n": ("is below 1", "a solid has an index above 1"),
-    "energy_keV": ("is no energy of a line in keV", "write it in keV: 662 for 0.662 MeV"),
+    "energy_keV": ("is no energy of a line in keV", IN_KEV),
     "detector_efficiency": ("is not above 0 and at most 1", "give a fraction: 0.127 for 12.7 %"),
     COLLECTION: ("is not above 0 and at most 1", "give a fraction: 0.9 for 90 %"),
     CROSSTALK: ("is not from 0 to 0.6", "give a probability: 0.05 for 5 %"),
@@ -366,7 +374,7 @@ _BEYOND = {
     "quantum_efficiency_scale_sigma": (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
     NEXT_SIGMA: (_BETWEEN, "it is a relative error: write 0.007 for 0.7 %"),
     SHARED_SIGMA: (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
-    KNOWN_YIELD: ("is no light yield", "give photons per keV: 8.2 for 8200 per MeV"),
+    KNOWN_YIELD: ("is no light yield", PER_KEV),
     KNOWN_YIELD_SIGMA: ("is not above 0", "give the standard error of the light yield"),
     "single_photoelectron": ("is not above 0", "give channels per photoelectron, or a spectrum"),
     "excess_noise_factor": (

@@ -12,7 +12,7 @@ from typing import Any
 
 from mcrim_mitsuba.core import files, table_text
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.numbers import ENERGIES_KEV, Value, parse_number, value_text
+from mcrim_mitsuba.core.numbers import ENERGIES_KEV, IN_KEV, Value, parse_number, value_text
 from mcrim_mitsuba.core.table_text import is_number, shown
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, refused_of_beam
 from mcrim_mitsuba.scene.values import parse_like
@@ -353,7 +353,7 @@ class _Cells(dict[str, str]):
             raise self.refusal(ENERGY, f"{ENERGY} of a transmittance", "empty the cell")
         if not ENERGIES_KEV[0] <= energy <= ENERGIES_KEV[1]:
             problem = f"{ENERGY} = {energy:g} is no energy of a line in keV"
-            raise self.refusal(ENERGY, problem, "write it in keV: 662 for 0.662 MeV")
+            raise self.refusal(ENERGY, problem, IN_KEV)
         return energy
 
     def _histogram(self) -> Path | None:

@@ -179,8 +179,12 @@ LONGEST_GAP_MM = 10.0
 LARGEST_PER_CM = 100.0
 #: Of lines (keV) that scintillators are read with: X-rays to cosmic muons; below, it is in MeV.
 ENERGIES_KEV = 1.0, 1e6
+#: How an energy beyond these is mended.
+IN_KEV = "write it in keV: 662 for 0.662 MeV"
 #: Photons per keV that crystals make: no more than one for each 3 eV.
 YIELDS_PER_KEV = 1e-3, 330.0
+#: How one is mended that is given and above.
+PER_KEV = "give photons per keV: 8.2 for 8200 per MeV"
 # Beyond these a value is possible, but seldom meant: it gets a note.
 #: Gaps and films (mm) are of 0.01 to 0.5, and 1 or 2 where air is left on purpose.
 WIDEST_USUAL_GAP_MM = 3.0
@@ -240,7 +244,11 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
 
 
 def doubts(parameters: Mapping[str, Value]) -> Iterator[tuple[str, str]]:
-    """Names of scene parameters whose values are hardly meant, with what is odd of each."""
+    """Names of parameters whose values are hardly meant, with what is odd of each.
+
+    Scene parameters, and light yields (names that end with ``_ph_per_keV``).
+    """
+    (least, most), asks = YIELDS_PER_KEV, "is the energy in MeV, or are the signals no photons?"
     sizes = {name: float(v) for name, v in parameters.items() if isinstance(v, int | float)}
     radius, window = sizes.get("aperture_radius_mm", 0.0), sizes.get("window_width_mm", math.inf)
     for name, value in sizes.items():
@@ -249,6 +257,8 @@ def doubts(parameters: Mapping[str, Value]) -> Iterator[tuple[str, str]]:
         usual = LARGEST_USUAL_PER_CM if name in COEFFICIENTS else usual
         if value > usual:
             yield name, f"is {value:g}, seldom more than {usual:g}: is it meant in {unit_of(name)}?"
+        if name.endswith("_ph_per_keV") and not least <= value <= most:
+            yield name, f"is {value:.3g}, which no crystal makes: {asks}"
     if radius > window:
         text = f"is {radius:g} mm: such a mask covers nothing of a window {window:g} mm wide"
         yield "aperture_radius_mm", text

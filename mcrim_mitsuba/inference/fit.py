@@ -16,7 +16,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes, plain
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT, YIELDS_PER_KEV
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, doubts
 from mcrim_mitsuba.core.rounding import p_equals, short_text
 from mcrim_mitsuba.inference.drivers import Minimum, find_minima
 from mcrim_mitsuba.inference.estimates import (
@@ -308,11 +308,9 @@ def _notes_of_search(minima: list[Minimum]) -> Iterator[str]:
 
 def _notes_of_light_yields(parameters: dict[str, ParameterEstimate]) -> Iterator[str]:
     """Whether a light yield is no crystal's."""
-    least, most = YIELDS_PER_KEV
-    for name, fitted in parameters.items():
-        if name.endswith("_ph_per_keV") and not least <= fitted.value <= most:
-            what = f"{name} is {fitted.value:.3g}, which no crystal makes"
-            yield f"{what}: is energy_keV in MeV, or are the signals no photons?"
+    yields = {n: fitted.value for n, fitted in parameters.items() if n.endswith("_ph_per_keV")}
+    for name, text in doubts(yields):
+        yield f"{name} {text}"
 
 
 def _notes_of_disagreement(fit: Calibration, prediction: Prediction) -> Iterator[str]:

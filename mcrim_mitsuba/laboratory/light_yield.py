@@ -15,7 +15,7 @@ import numpy as np
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import YIELDS_PER_KEV
+from mcrim_mitsuba.core.numbers import PER_KEV, YIELDS_PER_KEV
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.optics import spectrum
@@ -329,7 +329,7 @@ def _with_error(table: TomlTable, name: str) -> tuple[float, float]:
     if value <= 0:
         raise table.refusal(name, given, "give a number above 0")
     if name == _YIELD and value > YIELDS_PER_KEV[1]:
-        raise table.refusal(name, given, "give photons per keV: 8.2 for 8200 per MeV")
+        raise table.refusal(name, given, PER_KEV)
     if name in _FRACTIONS and value > 1:
         raise table.refusal(name, f"{given} is above 1", "give a fraction: 0.25 for 25 %")
     if sigma is None:

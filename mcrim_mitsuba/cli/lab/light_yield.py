@@ -13,7 +13,7 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import Number, NumberWithError, Precision, WithError, option
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import READS, attributes, collected
-from mcrim_mitsuba.core.numbers import ENERGIES_KEV, YIELDS_PER_KEV
+from mcrim_mitsuba.core.numbers import ENERGIES_KEV, IN_KEV, doubts
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, Uncertain, budget_of, common_value
 from mcrim_mitsuba.output import describe_laboratory
 from mcrim_mitsuba.output.registry import VerbResult
@@ -76,7 +76,7 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     notes = [*([words] if lacking else []), _INSIDE_THE_WINDOW]
     labels = _labels(signals, etas, labels)
     if energy_keV.value < ENERGIES_KEV[0]:
-        raise InputError(f"--energy-keV = {energy_keV.value:g}", "write 662 for 0.662 MeV")
+        raise InputError(f"--energy-keV = {energy_keV.value:g}", IN_KEV)
     couplings = {}
     for label, signal, eta in zip(labels, signals, etas, strict=True):
         counts = f"counts, {label}" if len(labels) > 1 else "counts"
@@ -88,9 +88,8 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
         )
         couplings[label] = (signal.value, signal.sigma), (eta.value, eta.sigma), light
     together = common_value([light for *_, light in couplings.values()])
-    if not YIELDS_PER_KEV[0] <= together.mean.value <= YIELDS_PER_KEV[1]:
-        words = "no crystal makes such light: is the energy in MeV, or are the signals no photons?"
-        notes.append(words)
+    of_all = {"light_yield_ph_per_keV": together.mean.value}
+    notes += [f"{name} {text}" for name, text in doubts(of_all)]
     budgets = {label: budget_of(light).merged for label, (*_, light) in couplings.items()}
     if len(couplings) > 1:
         budgets["together"] = budget_of(together.mean).merged
