@@ -122,7 +122,7 @@ class JobProgress:
 class Run:
     """What all simulations of a job have in common; who does them is said by `runs.executors`.
 
-    Raises InputError if photons, precision or seed are what no run can have.
+    Raises InputError if a field is what no run can have.
     """
 
     #: To be followed; with `precision`, at most. None: as many as the job usually takes.
@@ -156,6 +156,8 @@ class Run:
                 raise InputError(f"{what} is {self.precision}", mend)
         if not isinstance(self.variant, str):
             raise InputError(f"the variant is {self.variant}", f"give a name: {DEFAULT_VARIANT}")
+        if self.progress is not None and not callable(self.progress):
+            raise InputError(f"progress is {self.progress!r}", "give a function")
         for name, value in taken.items():
             object.__setattr__(self, name, value)
 

@@ -117,7 +117,6 @@ _KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "Mapping[str, float | str]": (lambda value: isinstance(value, Mapping), "a dictionary"),
     "bool": (lambda value: isinstance(value, bool | int | np.bool_), "True or False"),
     "Run": (lambda value: isinstance(value, Run), "a Run"),
-    "Progress": (callable, "a function"),
     "Callable[[RepairStep], None]": (callable, "a function"),
     "Conditions": (dataclasses.is_dataclass, "Conditions"),
 }

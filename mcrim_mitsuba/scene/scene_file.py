@@ -283,6 +283,8 @@ def read_scene(
     Raises InputError if a file cannot be read or is not a sound scene, if a ``$name`` is not
     declared before it is used, or if an override does not fit or is of a default that is not used.
     """
+    if not isinstance(overrides or {}, Mapping):
+        raise InputError(f"overrides are {overrides!r}", 'give a dictionary: {"n_gap": 1.46}')
     if isinstance(path, SceneFile):
         return path.with_overrides(overrides) if overrides else path
     path = path_of("the scene", path)

@@ -292,6 +292,8 @@ def test_what_is_no_argument_is_refused_in_a_line():
         (mcrim.report, [campaign, None], "output is None"),
         (mcrim.eta_spectrum, [BENCH, 5], "spectrum is 5"),
         (functools.partial(mcrim.simulate, run={"seed": 1}), [BENCH], "give a Run"),
+        (functools.partial(mcrim.simulate, progress=3), [BENCH], "progress is 3; give a function"),
+        (mcrim.read_scene, [BENCH, 5], "give a dictionary"),
         (functools.partial(mcrim.diagnose, only=[3]), [campaign], "only is [3]; give a name"),
         (functools.partial(mcrim.plan, n_gap=[]), [campaign, 0.1], "there is no value of n_gap"),
         (mcrim.calibrate, [], "mcrim.calibrate: missing a required argument: 'campaign'"),
