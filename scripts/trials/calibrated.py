@@ -38,6 +38,7 @@ from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference.diagnose import judge
 from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.explanations import Explanations
+from mcrim_mitsuba.inference.judgement import ADEQUATE
 from mcrim_mitsuba.inference.simulations import CampaignModels, CampaignSimulations
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.output.description import table
@@ -92,12 +93,20 @@ def main(
 def _show(screen: terminal.Screen, outcomes: Sequence[Mapping]) -> None:
     """Coverage, distance from evenness, and how often causes are there."""
     below = np.array([outcome["below"] for outcome in outcomes])
-    rows = []
-    for part in PARTS:
-        held = int((np.abs(below - 0.5) <= 0.5 * part).sum())
-        rate, error = held / len(below), fraction_error(held, len(below))
-        rows.append((f"{100 * part:.0f} %", f"{100 * rate:.0f} ± {100 * error:.0f} %"))
-    screen.show(table("the light yield", ("this part of its distribution", "holds it"), rows))
+    nothing = np.array([not outcome["hidden"] for outcome in outcomes])
+    adequate = np.array([outcome["verdict"] == ADEQUATE for outcome in outcomes])
+
+    def share(hits: Array) -> str:
+        if not len(hits):
+            return ""
+        error = fraction_error(int(hits.sum()), len(hits))
+        return f"{100 * hits.mean():.0f} ± {100 * error:.0f} %"
+
+    holds = {f"{100 * p:.0f} % of its distribution": np.abs(below - 0.5) <= 0.5 * p for p in PARTS}
+    rows = [(words, share(hits), share(hits[nothing])) for words, hits in holds.items()]
+    rows.append(("adequate", share(adequate), share(adequate[nothing])))
+    of_none = f"{nothing.sum()} with nothing hidden"
+    screen.show(table("hold the light yield", ("", f"{len(below)} draws", of_none), rows))
     distance = kstest(below, "uniform")
     screen.line(
         f"Kolmogorov-Smirnov's distance from evenness {distance.statistic:.3f} "
