@@ -458,13 +458,15 @@ class ResponseMaker:
         self._refuse_darkness(log_ratio, len(plan.axes), f" with {plan.name}")
         return EffectResponse(plan.axes, log_ratio, deviations)
 
-    def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:
-        """All effects at once, simulated at values of the free parameters, the scale left out."""
+    def benches_with(
+        self, effects: Sequence[Effect], values: Mapping[str, float]
+    ) -> Iterator[tuple[SceneFile, dict[str, Value]]]:
+        """Of every reading the scene with all effects, and its parameters' values.
+
+        `values` are of the free parameters; the scale is no matter of the bench.
+        """
         physical = [effect for effect in effects if effect.reading is None]
-        points, wanted = [], []
-        for reading, values_of, own in zip(
-            self._readings, configurations(self.campaign), self._photons, strict=True
-        ):
+        for reading, values_of in zip(self._readings, configurations(self.campaign), strict=True):
             # without a liquid such effects do nothing, but their edits would change the scene
             idle = [
                 effect
@@ -490,6 +492,15 @@ class ResponseMaker:
                 if effect.number is not None and effect.number.is_of(there):
                     sizes = {p.name: values.get(p.name, 0.0) for p in effect.parameters}
                     there |= _as_scene_values(effect, there, sizes)
+            yield scene, there
+
+    def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:
+        """All effects at once, simulated at values of the free parameters, the scale left out."""
+        points, wanted = [], []
+        benches = self.benches_with(effects, values)
+        for reading, (scene, there), own in zip(
+            self._readings, benches, self._photons, strict=True
+        ):
             points.append(there)
             most = min(ANCHOR_FACTOR * own, _MOST_PHOTONS)
             run = self._simulation(scene, there, most, of_beam=reading.of_beam)

@@ -1,6 +1,6 @@
 """Is a diagnosis as sure of the light yield as it says, through a campaign's simulated responses?
 
-    python scripts/trials calibrated [CAMPAIGN] [--trials 200] [--json FILE]
+    python scripts/trials calibrated [CAMPAIGN] [--trials 200] [--traced] [--json FILE]
 
 Simulation-based calibration (S. Talts et al., arXiv:1804.06788): causes, their sizes, coefficients
 and offsets are drawn from what a diagnosis takes for known before it sees a reading; readings
@@ -9,6 +9,9 @@ numbers. Where the truth lies in the diagnosis's distribution is then even from 
 are there as often as their probability says. Scattering has no prior, so that a diagnosis takes all
 between its bounds for equally likely: it is drawn evenly about that of the fit. Readings are wrong
 in no draw, though a diagnosis expects some.
+
+`--traced` readings are the independent tracer's, of a bench with all that is drawn in it, instead
+of the responses'; what is drawn then leaves an excess of chi2 that is spread evenly to `EXCESS`.
 """
 
 from __future__ import annotations
@@ -32,16 +35,21 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.efficiency.eta_grid import BATCHES
+from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
+from mcrim_mitsuba.efficiency.responses import Anchor
 from mcrim_mitsuba.inference.diagnose import judge
-from mcrim_mitsuba.inference.drivers import Minimum
+from mcrim_mitsuba.inference.drivers import Minimum, find_minima
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.judgement import ADEQUATE
 from mcrim_mitsuba.inference.simulations import CampaignModels, CampaignSimulations
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.output.description import table
+from mcrim_mitsuba.reference.tracer import trace
 from trials import formulas
 from trials.executor import Trial, Trials, executor_options
 from trials.truth import do_missing
@@ -55,13 +63,19 @@ ABOUT = (0.5, 1.5)
 PARTS = (0.5, 0.68, 0.9, 0.95)
 #: Ends of the probabilities of causes that are told together.
 BINS = (0.0, 0.02, 0.1, 0.3, 0.7, 0.9, 1.0)
-_MOST_DRAWS = 300
+#: Draws before one is given up.
+_MOST_DRAWS = 10_000
+#: Largest excess of chi2 of traced draws, and parts of it that are drawn in turn.
+EXCESS, _STEPS = 670.0, 10
+#: Relative error of a traced reading: a third of that of a usual one.
+_TRACED_SIGMA = 0.0025
 
 
 @click.command()
 @click.argument("campaign", type=click.Path(exists=True, path_type=Path), default=CAMPAIGN)
 @click.option("--trials", "number", default=200, show_default=True, type=options.Whole(1, 10_000))
 @click.option("--photons", type=options.Whole(1), help="Of a simulation; default: as `diagnose`.")
+@click.option("--traced", is_flag=True, help="Readings of the independent tracer.")
 @options.seed
 @options.json_output
 @executor_options
@@ -69,6 +83,7 @@ def main(
     campaign: Path,
     number: int,
     photons: int | None,
+    traced: bool,
     seed: int,
     json_file: str | None,
     executor,
@@ -78,9 +93,9 @@ def main(
     screen = terminal.console(json_file)
     wanted = [Trial("drawn", n) for n in range(number)]
     code = [Path(__file__), Path(formulas.__file__)]
-    what = {"campaign": str(campaign), "photons": photons, "seed": seed}
+    what = {"campaign": str(campaign), "photons": photons, "traced": traced, "seed": seed}
     trials = Trials("calibrated", what, wanted, code, executor)
-    arguments = {t: (str(campaign), photons, t.number, seed) for t in trials.missing}
+    arguments = {t: (str(campaign), photons, traced, t.number, seed) for t in trials.missing}
     ended = do_missing(screen, "calibrated", trials, weigh_one, arguments, log)
     if ended is not None:
         return ended
@@ -145,17 +160,17 @@ def simulated(path: str, photons: int | None) -> tuple[CampaignModels, dict[str,
     return models, {n: e for n, e in possible.items() if models.acts(n)}, baseline
 
 
-def weigh_one(path: str, photons: int | None, number: int, seed: int) -> dict:
+def weigh_one(path: str, photons: int | None, traced: bool, number: int, seed: int) -> dict:
     """Draw a campaign from the prior, weigh all hypotheses, and score what is said of it."""
     models, effects, baseline = simulated(path, photons)
     explanations = Explanations(models.model, effects, baseline)
     rng = np.random.default_rng([seed, number])
     for _ in range(_MOST_DRAWS):
-        drawn = _draw(explanations, models, rng)
+        drawn = _draw(explanations, models, rng, number % _STEPS if traced else None)
         if drawn is not None:
             break
     else:
-        raise RuntimeError(f"draw {number}: no readings above nothing")
+        raise RuntimeError(f"draw {number}: no readings as wanted")
     campaign, hidden, scale = drawn
     judged = judge(replace(models, campaign=campaign).model, effects)
     if judged.judgement is None:
@@ -164,6 +179,7 @@ def weigh_one(path: str, photons: int | None, number: int, seed: int) -> dict:
     return {
         "hidden": list(hidden),
         "chi2": judged.fit.minimum.chi2,
+        "chi2_of_truth": judged.explanations.fit(hidden).chi2,
         "verdict": judgement.verdict.word,
         "said": {name: judgement.weighing.inclusion.get(name, 0.0) for name in effects},
         **formulas.scores(judgement, math.log(scale / fitted)),
@@ -171,12 +187,18 @@ def weigh_one(path: str, photons: int | None, number: int, seed: int) -> dict:
 
 
 def _draw(
-    explanations: Explanations, models: CampaignModels, rng: np.random.Generator
+    explanations: Explanations,
+    models: CampaignModels,
+    rng: np.random.Generator,
+    step: int | None,
 ) -> tuple[Campaign, tuple[str, ...], float] | None:
-    """A campaign with readings as drawn, its causes and its scale; None where it will not do."""
+    """A campaign with readings as drawn, its causes and its scale; None where it will not do.
+
+    With the `step` of an excess readings are traced.
+    """
     drawn = (n for n in explanations.effects if rng.random() < expit(explanations.log_odds([n])))
     hidden = tuple(sorted(drawn))  # as models have them: their parameters are in that order
-    if len(hidden) > MOST_CAUSES or not explanations.possible(hidden):
+    if len(hidden) > MOST_CAUSES or not explanations.possible(hidden) or (step and not hidden):
         return None
     statistic, values = explanations.statistic(hidden), explanations.baseline.values
     known = explanations.priors(hidden)
@@ -193,12 +215,66 @@ def _draw(
         return None
     plain = _with_signals(models.campaign, signal)
     of_these = Statistic(replace(models, campaign=plain).model(hidden))
-    errors = np.linalg.cholesky(of_these.errors_at(theta).total)
-    signal = signal.copy()
-    signal[of_these.used] += errors @ rng.standard_normal(len(errors))
+    if step is None:
+        errors = np.linalg.cholesky(of_these.errors_at(theta).total)
+        signal = signal.copy()
+        signal[of_these.used] += errors @ rng.standard_normal(len(errors))
+    else:
+        excess = find_minima(Statistic(replace(models, campaign=plain).model()))[0].chi2
+        if not step <= _STEPS * excess / EXCESS < step + 1:
+            return None
+        eta = of_these.model.predict(theta).eta
+        values |= dict(zip(of_these.names, theta.tolist(), strict=True))
+        traced = _traced(models, hidden, values, eta, rng)
+        if traced is None:
+            return None
+        log_eta, errors = traced
+        campaign = models.campaign.with_effects(hidden)
+        everything = frozenset([*campaign.effects, *campaign.parameters])
+        anchor = Anchor(everything, values, log_eta, np.zeros((BATCHES, len(eta))))
+        signal = models.model_of(campaign, anchor).predict(theta).signal
+        sigma = np.array([row.sigma / row.signal for row in plain.measurements.readings])
+        rest = np.sqrt(np.maximum(sigma**2 - errors**2, 0.0))
+        signal = signal * (1.0 + rest * rng.standard_normal(len(signal)))
     if not np.all(signal > 0.0):
         return None
     return _with_signals(plain, signal), hidden, values[SCALE]
+
+
+def _traced(
+    models: CampaignModels,
+    hidden: tuple[str, ...],
+    values: Mapping[str, float],
+    eta: Array,
+    rng: np.random.Generator,
+) -> tuple[Array, Array] | None:
+    """(readings,) log(eta) by the tracer, the bench's numbers off as tolerances say; and errors.
+
+    `eta` says how many photons it takes. None of a bench that cannot be.
+    """
+    campaign = models.campaign.with_effects(hidden)
+    off = {
+        of.number: float(np.clip(of.sigma * rng.standard_normal(), *of.farthest))
+        for of in campaign.tolerances
+    }
+    benches = ResponseMaker(campaign, Run()).benches_with(campaign.switched_on, values)
+    log_eta, errors = [], []
+    for row, (scene, there), usual in zip(
+        campaign.measurements.readings, benches, eta, strict=True
+    ):
+        own = {**campaign.values, **row.parameters}
+        for number, offset in off.items():
+            if number.is_of(own):
+                there[number.parameter] = float(there[number.parameter]) + offset
+        photons = int((1.0 - usual) / usual / _TRACED_SIGMA**2)
+        try:
+            bench = scene.with_overrides({n: v for n, v in there.items() if n in scene.parameters})
+            found = trace(bench, photons, int(rng.integers(2**31)), threads=1)
+        except InputError:
+            return None
+        log_eta.append(math.log(found.eta))
+        errors.append(found.eta_sigma / found.eta)
+    return np.array(log_eta), np.array(errors)
 
 
 def _with_signals(campaign: Campaign, signal: Array) -> Campaign:
