@@ -44,19 +44,19 @@ def campaign_with_effects(
     scene: Path,
     starts: Mapping[str, float],
     fixed_or_known: Iterable[CampaignParameter] = (),
-    told: Mapping[str, str] | None = None,
+    remarks: Mapping[str, str] | None = None,
 ) -> str:
     """The text of a campaign file with another scene, and with all effects of the campaign.
 
     `scene` has these effects. At `starts` fitted parameters begin; those without a table of their
     own get one, with what the campaign knows of them beforehand. Of `fixed_or_known` it is written
-    that they are held, or their prior, in place of what the file says. What is `told`, by key, is
-    put in place of the campaign's own.
+    that they are held, or their prior, in place of what the file says. `remarks`, by key, are put
+    in place of the campaign's own.
     """
     document = _document(campaign, target, scene, campaign.measurements.path)
     # a key that is new goes before the first table, or it would belong to the last one
     document["effects"] = [*campaign.treatments, *campaign.effects]
-    document.update(told or {})
+    document.update(remarks or {})
     parameters = document.setdefault("parameters", tomlkit.table(is_super_table=True))
     # what samples have of their own stands in their tables, with what is known of it
     keys = {

@@ -7,6 +7,7 @@ advises. Each gives a small record to the next.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,7 +35,7 @@ from mcrim_mitsuba.inference.estimates import (
 )
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.explanations import Explanations, Models
-from mcrim_mitsuba.inference.fit import Calibration, fit_model
+from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
 from mcrim_mitsuba.inference.judgement import (
     ADEQUATE,
     AMBIGUOUS,
@@ -47,11 +48,12 @@ from mcrim_mitsuba.inference.next_measurements import NextMeasurement, next_meas
 from mcrim_mitsuba.inference.rehearsal import Capability
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN
 from mcrim_mitsuba.inference.screening import ScreeningCache, promising_effects
-from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, EXPLAINING, HYPOTHESES, JUDGING
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, EXPLAINING, EXTENT, HYPOTHESES, JUDGING
 from mcrim_mitsuba.inference.simulations import (
     CampaignSimulations,
     MeasurementProposals,
     as_numbers,
+    not_adding_up,
 )
 from mcrim_mitsuba.inference.weighing import (
     INSTRUMENT,
@@ -278,6 +280,7 @@ def diagnose(
         titles={**titles, **diagnosis.titles},
     )
     screened.write(precise)
+    simulations.notes += _not_adding_up(simulations, judged)
     if diagnosis.caution:
         simulations.notes.append(diagnosis.caution)
     if campaign.next_measurements and diagnosis.verdict not in (AMBIGUOUS, UNEXPLAINED):
@@ -286,6 +289,22 @@ def diagnose(
             "explains the readings"
         )
     return diagnosis
+
+
+def _not_adding_up(simulations: CampaignSimulations, judged: Judged) -> list[str]:
+    """What is to be said of leading sets of effects that do not fit where they are simulated.
+
+    All sets are weighed by responses that were simulated one by one, and add up in log(eta).
+    """
+    leading = () if judged.judgement is None else judged.judgement.verdict.leading
+    notes: list[str] = []
+    for effects in [names for names in leading if len(names) > 1][: EXTENT.most_together]:
+        by_responses = judged.explanations.fit(effects)
+        with contextlib.suppress(UndeterminedError):
+            fit = simulations.settled_fit(effects, by_responses.values)
+            note = not_adding_up(fit.model.campaign.effects, fit.chi2, by_responses.chi2)
+            notes += [note] if note else []
+    return notes
 
 
 def _candidates(

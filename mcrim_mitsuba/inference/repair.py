@@ -82,8 +82,8 @@ def repair(
     campaign_path = scene_path = None
     if effects and output is not None:
         campaign_path = Path(output)
-        told = told_by(diagnosis, effects)
-        scene_path = write_mended(simulations.campaign, fit, campaign_path, told)
+        remarks = remarks_on(diagnosis, effects)
+        scene_path = write_mended(simulations.campaign, fit, campaign_path, remarks)
     return Repaired(
         diagnosis=diagnosis,
         effects=effects,
@@ -97,14 +97,14 @@ def repair(
 
 
 def write_mended(
-    campaign: Campaign, fit: Calibration, target: Path, told: Mapping[str, str] | None = None
+    campaign: Campaign, fit: Calibration, target: Path, remarks: Mapping[str, str] | None = None
 ) -> Path:
-    """Write scene and campaign, with what is `told_by` a diagnosis; returns the scene's path."""
+    """Write scene and campaign, with `remarks_on` a diagnosis; returns the scene's path."""
     scene_path = target.with_suffix(".xml")
     if scene_path.resolve() == campaign.scene.path.resolve():
         problem = f"the mended scene would replace {campaign.scene.path}"
         raise InputError(problem, "give -o another name", path=target)
-    scene, text = mended_files(campaign, fit, target, told)
+    scene, text = mended_files(campaign, fit, target, remarks)
     # the campaign first: it tells that it was made here, if its scene is missing
     texts = {target: text, scene_path: text_for_folder(scene, target.parent)}
     refuse_to_replace(texts)
@@ -133,25 +133,25 @@ def mended_files(
     campaign: Campaign,
     fit: Calibration,
     target: Path,
-    told: Mapping[str, str] | None = None,
+    remarks: Mapping[str, str] | None = None,
 ) -> tuple[SceneFile, str]:
     """The mended scene and the text of the mended campaign; nothing is written.
 
     The fit is of the campaign with more effects switched on, and its values are put into both, to
     six digits. The campaign is meant to go to `target`, its scene beside it under the same name;
-    what is `told_by` a diagnosis stands in it.
+    `remarks` are as of `remarks_on`.
     """
     mended = fit.model.campaign
     fitted = rounded({name: estimate.value for name, estimate in fit.parameters.items()})
     effects = mended.effects[len(campaign.effects) :]
     starts = {name: fitted[name] for name in fit.names if name in fitted}
     scene = target.with_suffix(".xml")
-    text = campaign_with_effects(mended, target, scene, starts, told=told)
+    text = campaign_with_effects(mended, target, scene, starts, remarks=remarks)
     added = f"{_MENDED}{' and '.join(effects)} added.\n"
     return mended_scene(campaign, effects, fitted), added + text
 
 
-def told_by(diagnosis: Diagnosis, effects: Sequence[str]) -> dict[str, str]:
+def remarks_on(diagnosis: Diagnosis, effects: Sequence[str]) -> dict[str, str]:
     """What a campaign that was mended so says of it, by key: other models are possible.
 
     The remark follows the campaign's own, and the light yield to quote is that of the first repair.
@@ -168,10 +168,10 @@ def told_by(diagnosis: Diagnosis, effects: Sequence[str]) -> dict[str, str]:
     sentence += f" ({', '.join(words)})" if words else ""
     sentence += ": what a fit of this file gives holds for this one model"
     users = campaign.remark[: LONGEST_REMARK - len(sentence) - 2]
-    told = {"remark": "; ".join(filter(None, (users, sentence)))}
+    remarks = {"remark": "; ".join(filter(None, (users, sentence)))}
     if averaged is not None and not campaign.yield_to_quote:
-        told[TO_QUOTE] = str(averaged)
-    return told
+        remarks[TO_QUOTE] = str(averaged)
+    return remarks
 
 
 def mended_scene(

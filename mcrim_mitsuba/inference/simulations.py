@@ -152,6 +152,20 @@ class CampaignModels:
         return ResponseModel(campaign, self.responses, campaign.switched_on, anchor)
 
 
+def not_adding_up(effects: Sequence[str], chi2: float, by_responses: float) -> str:
+    """What to say where effects that were simulated together do not fit as their responses did.
+
+    `by_responses` is the chi2 of these; empty where both fit alike.
+    """
+    if chi2 < max(EXTENT.not_adding_up * by_responses, by_responses + EXTENT.worse):
+        return ""
+    return (
+        f"with {' and '.join(effects)} simulated together chi2 is {number(chi2)}, not "
+        f"{number(by_responses)} as their responses, simulated one by one, had it: the effects do "
+        "not add up, or an effect's file acts otherwise alone than beside others"
+    )
+
+
 class CampaignSimulations:
     """Simulates what models of a campaign rest on, and keeps the account of it.
 
@@ -326,15 +340,8 @@ class CampaignSimulations:
                 break
         if profile:
             fit = fit_model(model)
-        if fit.chi2 < max(EXTENT.not_adding_up * by_responses, by_responses + EXTENT.worse):
-            return fit
-        names = " and ".join(campaign.effects)
-        note = (
-            f"with {names} simulated together chi2 is {number(fit.chi2)}, not "
-            f"{number(by_responses)} as their responses, simulated one by one, had it: the effects "
-            "do not add up, or an effect's file acts otherwise alone than beside others"
-        )
-        return replace(fit, notes=(*fit.notes, note))
+        note = not_adding_up(campaign.effects, fit.chi2, by_responses)
+        return replace(fit, notes=(*fit.notes, note)) if note else fit
 
     def anchored_model(self, campaign: Campaign, values: Mapping[str, float]) -> ResponseModel:
         """A campaign's model, corrected by a simulation of all its effects at once at some values.

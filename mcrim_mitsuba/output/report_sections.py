@@ -32,8 +32,8 @@ from mcrim_mitsuba.inference.repair import (
     Repaired,
     mended_files,
     mended_scene,
+    remarks_on,
     scene_text,
-    told_by,
 )
 from mcrim_mitsuba.output import photograph
 from mcrim_mitsuba.output.cross_section import cross_section_figure
@@ -229,8 +229,8 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
     if not repaired.effects:
         return ()
     target = campaign.path.with_name(f"{campaign.path.stem}_mended.toml")
-    told = told_by(repaired.diagnosis, repaired.effects)
-    scene, text = mended_files(campaign, repaired.fit, target, told)
+    remarks = remarks_on(repaired.diagnosis, repaired.effects)
+    scene, text = mended_files(campaign, repaired.fit, target, remarks)
     old, name = campaign.scene, target.with_suffix(".xml").name
     before = read_bytes(campaign.path, _LIMIT_MB).decode("utf-8-sig", errors="replace")
     return (

@@ -379,3 +379,24 @@ def test_what_a_scene_cannot_take_is_told_with_the_reason(scenes, tmp_path):
     found = diagnose(CampaignSimulations(read_campaign(path), Run(512, check=False)))
     assert found.not_tried["top_reflector"] == "wrapping covers the top already"
     assert found.titles["top_reflector"] == "reflector on the top face"
+
+
+def test_effects_that_do_not_add_up_are_told(scenes):
+    """A pair led that fits by responses alone, which simulated together has a chi2 of 118."""
+    pair, run = ("ground_top", "top_reflector"), Run(2 * LANES, seed=3, check=False)
+    campaign = read_campaign(scenes / "camoo4_misfit.toml")
+    campaign = replace(campaign, tolerances=())
+    models = CampaignSimulations(campaign, run).simulate(pair)
+    sizes = {"ground_top_alpha": 0.5, "top_reflectance": 0.5}
+    statistic = Statistic(models.model(pair))
+    values = {"alpha_scat_per_cm": 0.4, "alpha_abs_per_cm": 0.04, "scale": 50.0, **sizes}
+    signals = statistic.model.predict(statistic.theta(values)).signal
+    readings = [
+        replace(row, signal=signal, sigma=0.007 * signal)
+        for row, signal in zip(campaign.measurements.readings, signals.tolist(), strict=True)
+    ]
+    added = replace(campaign, measurements=campaign.measurements.with_readings(readings))
+    simulations = CampaignSimulations(added, run)
+    diagnosis = diagnose(simulations, only=pair)
+    assert diagnosis.leading_sets == (pair,)
+    assert any("the effects do not add up" in note for note in simulations.notes)

@@ -24,7 +24,7 @@ from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.entries import LONGEST_REMARK, TO_QUOTE
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.rounding import pdg_parts
-from mcrim_mitsuba.inference.repair import told_by
+from mcrim_mitsuba.inference.repair import remarks_on
 from mcrim_mitsuba.output import photograph, report_sections
 from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output.describe_campaign import others_table
@@ -185,7 +185,7 @@ def test_a_mended_campaign_keeps_its_remark_and_the_yield_to_quote():
         minimum = SimpleNamespace(statistic=statistic)
         return replace(explained, baseline=replace(explained.baseline, minimum=minimum))
 
-    first = told_by(of(own), (FIRST,))
+    first = remarks_on(of(own), (FIRST,))
     words = first["remark"]
     assert words.startswith("kept in the dark; absorbing crystal surface was added by repair (the ")
     assert first[TO_QUOTE] == str(explained.light_yield_averaged)
@@ -194,9 +194,9 @@ def test_a_mended_campaign_keeps_its_remark_and_the_yield_to_quote():
     assert once.remarks[0] == words and first[TO_QUOTE] in once.remarks[1]
     mended = of(once)
     assert "what repair added; the one to quote is 7.7 ± 0.9 ph/keV (" in averaged_yield(mended)
-    second = told_by(mended, (SECOND,))
+    second = remarks_on(mended, (SECOND,))
     assert second.keys() == {"remark"} and second["remark"].startswith(f"{words}; ")
-    whole = told_by(of(replace(own, remark="a" * LONGEST_REMARK)), (FIRST,))["remark"]
+    whole = remarks_on(of(replace(own, remark="a" * LONGEST_REMARK)), (FIRST,))["remark"]
     assert len(whole) == LONGEST_REMARK and whole.endswith(words.partition("; ")[2])
 
 
