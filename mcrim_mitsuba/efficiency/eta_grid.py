@@ -24,10 +24,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from lxml import etree
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import COUNTED, Value
+from mcrim_mitsuba.core.numbers import COEFFICIENTS, COUNTED, Value
 from mcrim_mitsuba.core.run import one_thread
 from mcrim_mitsuba.effects.effect import Effect, modules_of
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
@@ -36,6 +37,7 @@ from mcrim_mitsuba.runs.scene_units import PortableScene, SceneUnit
 from mcrim_mitsuba.scene.check_text import detectors_of
 from mcrim_mitsuba.scene.emitted_light import Colours
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.xml_tree import Node
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords, ScatteringProposals
 
 if TYPE_CHECKING:
@@ -352,14 +354,40 @@ def tells_detectors(scene: SceneFile) -> bool:
 
 
 def _changes_only(name: str, plugin: str, scene: SceneFile, overrides: Mapping[str, Value]) -> bool:
-    """Whether overrides change nothing but what is called `name` of a plugin's elements."""
-    other = scene.with_overrides(overrides)
-    for before, after in zip(scene.root.iter(), other.root.iter(), strict=True):
-        parent = before.getparent()
-        of_plugin = parent is not None and parent.get("type") == plugin
-        if before.attrib != after.attrib and not (of_plugin and before.get("name") == name):
-            return False
-    return True
+    """Whether overrides change what is called `name` of all of a plugin's elements, no more."""
+    elements = (e for e in scene.root.iter(etree.Element) if e.type == plugin)
+    return _changed(scene, overrides) == [element.named(name) for element in elements]
+
+
+def _changed(scene: SceneFile, overrides: Mapping[str, Value]) -> list[Node]:
+    """Elements of a scene that overrides change."""
+    pairs = zip(scene.root.iter(), scene.with_overrides(overrides).root.iter(), strict=True)
+    return [before for before, after in pairs if before.attrib != after.attrib]
+
+
+@functools.lru_cache(maxsize=128)
+def refuse_shared_coefficients(scene: SceneFile) -> None:
+    """Refuse (InputError) a scene whose coefficients are not the crystal's, or not its alone.
+
+    Records answer for those of the crystal; all else in the scene would keep its own.
+    """
+    crystals = [m for e in scene.root.iter("emitter") for m in scene.parts.targets(e, "medium")]
+    for name in COEFFICIENTS:
+        numbers = [crystal.named(name) for crystal in crystals]
+        changed = _changed(scene, {name: 0.25 if scene.parameters[name] == 0.5 else 0.5})
+        if changed == numbers or not crystals:  # without one it is refused when it is loaded
+            continue
+        others = [number for number in changed if number not in numbers]
+        if len(others) < len(changed):
+            (path, line), parent = scene.place_of(others[0]), others[0].getparent()
+            assert parent is not None
+            problem = f"{name} is the crystal's, and the scene has it in {parent.label} too"
+            mend = "give that a parameter of its own"
+        else:
+            path, line = scene.place_of(crystals[0])
+            problem = f"the crystal's {name} is not the scene's parameter of that name"
+            mend = f'write <float name="{name}" value="${name}"/> in its medium'
+        raise InputError(f"{problem}: fits and tables would be wrong", mend, path=path, line=line)
 
 
 def counted(

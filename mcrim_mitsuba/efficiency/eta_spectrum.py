@@ -150,7 +150,7 @@ class _Plan:
         points = [_coefficients(scene, light, nm) for nm in asked.tolist()]
         bending = [name for name in light.parameters if name not in COEFFICIENTS]
         nodes = np.array([mean_nm])
-        if bending:
+        if any(np.ptp(light.parameters[name]) > 0.0 for name in bending):
             nodes = 1.0 / np.sqrt(chebyshev_nodes(1.0 / at[-1] ** 2, 1.0 / at[0] ** 2, NODES))
         values = [light.at(nm) for nm in nodes.tolist()]
         benches = [scene.with_overrides({name: at[name] for name in bending}) for at in values]

@@ -34,6 +34,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     difference,
     has_open_mask,
     open_aperture,
+    refuse_shared_coefficients,
     tells_detectors,
 )
 from mcrim_mitsuba.efficiency.proposals import (
@@ -661,6 +662,7 @@ def _with_effect(scene: SceneFile, effect: Effect) -> SceneFile:
 @functools.lru_cache(maxsize=64)
 def _usual(scene: SceneFile) -> SceneFile:
     """With usual coefficients: records answer all, so scenes that differ in these only are one."""
+    refuse_shared_coefficients(scene)
     usual = {ALPHA_SCAT: USUAL_ALPHA_SCAT_PER_CM, ALPHA_ABS: USUAL_ALPHA_ABS_PER_CM}
     return scene.with_overrides(usual)
 

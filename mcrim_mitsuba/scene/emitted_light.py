@@ -48,7 +48,7 @@ class EmittedLight:
     emission: Array
     #: Of the detector, a fraction; 1 where it is not known.
     efficiency: Array
-    #: Scene parameters that vary.
+    #: Scene parameters that vary, or differ from the scene's.
     parameters: Mapping[str, Array]
     _: KW_ONLY
     #: Whether the efficiency was given.
@@ -142,7 +142,8 @@ def read_light(
         if name not in columns
     }
     varying |= {n: np.interp(grid, emission.wavelength_nm, v) for n, v in columns.items()}
-    varying = {name: values for name, values in varying.items() if np.ptp(values) > 0.0}
+    # what is the same at all wavelengths may still be another number than the scene's
+    varying = {n: values for n, values in varying.items() if (values != scene.parameters[n]).any()}
     emitted = EmittedLight(
         grid, light, np.ones_like(grid), varying, detected=False, path=Path(path)
     )
@@ -179,6 +180,9 @@ def _columns(
             row = int(wrong.argmax())
             problem = f"{name} = {values[row]:g} is out of range"
             raise table.refusal(row, column, problem, f"give {low:g} to {high:g}")
+        if name in scene.overrides:
+            problem = f"{name} is a column, and was given a value too"
+            raise table.refusal(None, column, problem, "leave one of them out")
         columns[name] = values
     order = np.argsort(columns[WAVELENGTH], kind="stable")
     same = np.diff(columns[WAVELENGTH][order]) <= 0.0

@@ -137,6 +137,31 @@ def test_what_is_wrong_is_said_with_its_place(tmp_path, text, said):
     assert "light.csv" in str(refused.value)
 
 
+@pytest.mark.parametrize("name", ["alpha_abs_per_cm", "n_gap"])
+def test_a_column_that_does_not_vary_counts(tmp_path, name):
+    """A number that all wavelengths have in common was the scene's: 4.5 errors."""
+    at, value = [500.0, 540.0, 580.0], {"alpha_abs_per_cm": 0.5, "n_gap": 1.46}[name]
+    header = f"wavelength_nm,emission (photons/nm),{name}"
+    light, file = written(tmp_path, header, at, [1, 2, 1], 3 * [value]), read_scene(BENCH)
+    over = mcrim_mitsuba.eta_spectrum(file, light, photons=200_000)
+    alone = mcrim_mitsuba.simulate(file, photons=200_000, seed=1, **{name: value})
+    assert len(over.nodes_nm) == 1
+    sigma = np.hypot(over.eta_emitted_sigma, alone.eta_sigma)
+    assert abs(over.eta_emitted - alone.eta) < 4.5 * sigma
+    with pytest.raises(InputError, match=f"column {name}.*was given a value too"):
+        mcrim_mitsuba.eta_spectrum(file, light, **{name: value})
+
+
+def test_a_campaign_is_told_what_its_light_says_of_what_it_does_not_fit(tenfold, here):
+    """It took the scene's absorption, and nobody was told."""
+    text = CAMPAIGN.format(scene=BENCH.as_posix(), spectrum=f'spectrum = "{tenfold}"')
+    held, fitted = text.index("[parameters.alpha_abs"), text.index("[tolerances]")
+    (here / "c.toml").write_text(text[:held] + text[fitted:])
+    (here / "readings.csv").write_text("label,signal,sigma,n_gap\na,20,1,1\nb,40,1,1.46\n")
+    with pytest.raises(InputError, match=r"line 3.*alpha_abs_per_cm is 0.07.*0.039 in the scene"):
+        mcrim_mitsuba.read_campaign(here / "c.toml")
+
+
 def test_the_command_shows_and_draws_it(tenfold, mcrim, here):
     said = mcrim(
         "simulate",
