@@ -50,8 +50,8 @@ from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance, tran
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
-    BEAM_AXIS,
     GAP_INDEX,
+    polished_slab,
     scattered_share,
     spectrophotometer_of,
 )
@@ -590,13 +590,14 @@ class ResponseMaker:
             self._ways[label] = "the beam is simulated"
             return None
         self._ways[label] = "the closed form, the crystal being polished as it is"
-        axis = str(scene.parameters[BEAM_AXIS])
-        length = float(scene.parameters[f"crystal_{'height' if axis == 'z' else 'width'}_mm"])
+        slab = polished_slab(scene)
+        assert slab is not None  # there is a share
+        n, length = slab
 
         def table(grid: Grid) -> EtaGrid:
             alpha_scat, alpha_abs = grid.coefficients_per_cm()
             internal = transmittance(alpha_scat + alpha_abs, length)
-            log_t = np.log(measured_transmittance(internal, float(scene.parameters["n_crystal"])))
+            log_t = np.log(measured_transmittance(internal, n))
             return EtaGrid(log_t, np.zeros((BATCHES, *log_t.shape), dtype=np.float32))
 
         return table(self.grid), table(self._coarse)
