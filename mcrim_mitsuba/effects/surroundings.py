@@ -48,6 +48,14 @@ def edit_top_reflector(editor: SceneEditor) -> None:
     )
 
 
+def alone_in(scene: SceneFile) -> bool:
+    """Whether nothing else reflects as it does: records count all reflections together."""
+    clear = ("dielectric", "polish", "roughdielectric", "aperture", "photodetector")
+    others = (shape for shape in scene.parts.shapes if shape.get("id") != "top_reflector")
+    worn = (bsdf for shape in others for bsdf in scene.parts.worn_by(shape))
+    return all(bsdf.type in clear for bsdf in worn)
+
+
 TOP_REFLECTOR = Effect(
     name="top_reflector",
     title="reflector on the top face",
@@ -78,6 +86,7 @@ TOP_REFLECTOR = Effect(
         name="top_reflectance",
         simulated_at=_REFLECTOR_SIMULATED_AT,
     ),
+    weighs_in=alone_in,
     proposal={"top_reflectance": _REFLECTOR_SIMULATED_AT},
 )
 

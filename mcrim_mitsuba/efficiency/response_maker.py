@@ -410,6 +410,8 @@ class ResponseMaker:
         if not self._weighs(effect):
             source = replace(run, photons=photons, check=False)
             return source, source.table()
+        if effect.edit is not None:  # or the scene cannot have it, and is refused
+            _with_effect(self.campaign.scene, effect)
         if effect.proposal is not None:
             scene = _with_effect(self.campaign.scene, effect)
             values = {**run.parameters, **effect.proposal}
@@ -531,6 +533,8 @@ class ResponseMaker:
 
     def _weighs(self, effect: Effect) -> bool:
         """Whether an effect is predicted by weighting photon records."""
+        if effect.weighs_in is not None and not effect.weighs_in(self.campaign.scene):
+            return False
         # a mask cannot be taken off records that were made with it
         return (effect.weight or effect.colours) is not None and (
             self._open_mask or effect.mask_column == "mask_radius_mm"
