@@ -489,9 +489,7 @@ def _read_spectrum(entries: TomlTable, campaign: Campaign) -> EmittedLight | Non
     raw = campaign.raw
     if raw is not None and raw.efficiency is not None and not light.detected:
         light = light.seen_by(raw.efficiency.quantum_efficiency)
-    coefficients = {
-        name: light.parameters[name] for name in COEFFICIENTS if name in light.parameters
-    }
+    coefficients = {n: values for n, values in light.parameters.items() if n in COEFFICIENTS}
     if not any(np.ptp(values) > 0.0 for values in coefficients.values()):
         problem = f"neither {ALPHA_SCAT} nor {ALPHA_ABS} varies in {light.path.name}"
         mend = f"add a column, or remove {schema.SPECTRUM}: one wavelength says the same"
@@ -500,11 +498,9 @@ def _read_spectrum(entries: TomlTable, campaign: Campaign) -> EmittedLight | Non
     for name in coefficients.keys() - {*campaign.parameters, *campaign.varied}:
         value, own = light.at(light.mean_nm)[name], float(campaign.scene.parameters[name])
         if abs(value - own) > _SAME * value:
-            at_mean = f"{name} is {value:.4g} at {light.mean_nm:.0f} nm, the mean of the light"
-            problem = f"{at_mean} of {light.path.name}, and {own:g} in the scene"
-            mend = (
-                f"write [parameters.{name}] with start = {value:.4g}, and fixed = true or a prior"
-            )
+            problem = f"{name} is {value:.4g} at {light.mean_nm:.0f} nm, the mean wavelength of "
+            problem += f"{light.path.name}, and {own:g} in the scene"
+            mend = f"write [parameters.{name}] with start = {value:.4g}, fixed = true or a prior"
             raise entries.refusal(schema.SPECTRUM, problem, mend)
     return light
 

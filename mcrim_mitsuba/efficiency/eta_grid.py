@@ -367,27 +367,20 @@ def _changed(scene: SceneFile, overrides: Mapping[str, Value]) -> list[Node]:
 
 @functools.lru_cache(maxsize=128)
 def refuse_shared_coefficients(scene: SceneFile) -> None:
-    """Refuse (InputError) a scene whose coefficients are not the crystal's, or not its alone.
+    """Refuse (InputError) a scene whose coefficients are not the crystal's alone.
 
-    Records answer for those of the crystal; all else in the scene would keep its own.
+    Records answer for the crystal: all else would keep its own.
     """
     crystals = [m for e in scene.root.iter("emitter") for m in scene.parts.targets(e, "medium")]
     for name in COEFFICIENTS:
-        numbers = [crystal.named(name) for crystal in crystals]
         changed = _changed(scene, {name: 0.25 if scene.parameters[name] == 0.5 else 0.5})
-        if changed == numbers or not crystals:  # without one it is refused when it is loaded
-            continue
-        others = [number for number in changed if number not in numbers]
-        if len(others) < len(changed):
-            (path, line), parent = scene.place_of(others[0]), others[0].getparent()
-            assert parent is not None
-            problem = f"{name} is the crystal's, and the scene has it in {parent.label} too"
-            mend = "give that a parameter of its own"
-        else:
-            path, line = scene.place_of(crystals[0])
-            problem = f"the crystal's {name} is not the scene's parameter of that name"
-            mend = f'write <float name="{name}" value="${name}"/> in its medium'
-        raise InputError(f"{problem}: fits and tables would be wrong", mend, path=path, line=line)
+        for other in changed:
+            if (medium := other.getparent()) in crystals or medium is None:
+                continue
+            problem = f"{name} is not the crystal's alone, as fits and tables need it: "
+            mend = "give that a parameter of its own, and the crystal this one"
+            path, line = scene.place_of(other)
+            raise InputError(f"{problem}{medium.label} has it", mend, path=path, line=line)
 
 
 def counted(

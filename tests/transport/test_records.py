@@ -124,11 +124,8 @@ def test_a_second_mask_of_a_size_of_its_own_is_not_cut_out(scenes):
     assert abs(z) < 4.5
 
 
-@pytest.mark.parametrize(
-    ("of_crystal", "told"),
-    [("$alpha_abs_per_cm", "it in window too"), ("0.1", "the crystal's alpha_abs_per_cm is not")],
-)
-def test_coefficients_that_are_not_the_crystal_s_alone_are_refused(scenes, of_crystal, told):
+@pytest.mark.parametrize("of_crystal", ["$alpha_abs_per_cm", "0.1"])
+def test_coefficients_that_are_not_the_crystal_s_alone_are_refused(scenes, of_crystal):
     """Weights of photons move the crystal's, and no other: eta was up to a third off."""
     number, window = (
         '<float name="alpha_abs_per_cm" value="{}"/>',
@@ -137,7 +134,7 @@ def test_coefficients_that_are_not_the_crystal_s_alone_are_refused(scenes, of_cr
     usual = number.format("$alpha_abs_per_cm")
     text = (scenes / "camoo4.xml").read_text().replace(usual, number.format(of_crystal))
     text = text.replace(f"{window}/>", f"{window}>{usual}</medium>")
-    with pytest.raises(InputError, match=rf"line \d+: .*{told}"):
+    with pytest.raises(InputError, match=r"line \d+: alpha_abs_.* window has it"):
         eta_table(read_scene(scenes / "camoo4.xml").edited(text), {ALPHA_SCAT: [0.1, 1.0]})
 
 
