@@ -496,10 +496,10 @@ def _read_spectrum(entries: TomlTable, campaign: Campaign) -> EmittedLight | Non
         raise entries.refusal(schema.SPECTRUM, problem, mend)
     # readings are told by its shape: the size is the campaign's
     for name in coefficients.keys() - {*campaign.parameters, *campaign.varied}:
-        value, own = light.at(light.mean_nm)[name], float(campaign.scene.parameters[name])
-        if abs(value - own) > _SAME * value:
+        value, there = light.at(light.mean_nm)[name], float(campaign.scene.parameters[name])
+        if abs(value - there) > _SAME * value:
             problem = f"{name} is {value:.4g} at {light.mean_nm:.0f} nm, the mean wavelength of "
-            problem += f"{light.path.name}, and {own:g} in the scene"
+            problem += f"{light.path.name}, and {there:g} in the scene"
             mend = f"write [parameters.{name}] with start = {value:.4g}, fixed = true or a prior"
             raise entries.refusal(schema.SPECTRUM, problem, mend)
     return light

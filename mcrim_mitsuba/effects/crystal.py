@@ -321,7 +321,8 @@ def is_even_along(scene: SceneFile, axis: int, length: str) -> bool:
     return bool(ends) and math.isclose(np.ptp(ends), float(scene.parameters[length]), rel_tol=1e-6)
 
 
-_DEPTH_MM, _SIDE_MM = "source_depth_mm", "side_depth_mm"
+_DEPTH_MM = "source_depth_mm"
+_SIDE_MM = "side_depth_mm"
 
 SOURCE_DEPTH = Effect(
     name="source_depth",

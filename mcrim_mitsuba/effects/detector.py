@@ -92,7 +92,7 @@ REFLECTED = partial(
 )
 
 
-def sends_back_no_more(scene: SceneFile, *others: str) -> bool:
+def sends_back_no_more(scene: SceneFile, others: tuple[str, ...]) -> bool:
     """Whether detectors have none of some numbers: records count all that detectors send back."""
     detectors = scene.parts.all("bsdf", "photodetector")
     return not any(detector.named(name) is not None for detector in detectors for name in others)
@@ -128,7 +128,7 @@ DETECTOR_REFLECTION = Effect(
     edit=partial(set_detector, name="reflectance", value="$detector_reflectance", sends_back=True),
     columns=("detector_hits",),
     weight=partial(REFLECTED, name="detector_reflectance"),
-    weighs_in=lambda scene: sends_back_no_more(scene, "specular", "cathode_nm"),
+    weighs_in=partial(sends_back_no_more, others=("specular", "cathode_nm")),
     proposal={"detector_reflectance": _SIMULATED_AT},
 )
 
@@ -164,7 +164,7 @@ DETECTOR_SPECULAR = Effect(
     edit=partial(set_detector, name="specular", value="$detector_specular", sends_back=True),
     columns=("detector_hits",),
     weight=partial(REFLECTED, name="detector_specular"),
-    weighs_in=lambda scene: sends_back_no_more(scene, "reflectance", "cathode_nm"),
+    weighs_in=partial(sends_back_no_more, others=("reflectance", "cathode_nm")),
     proposal={"detector_specular": _SIMULATED_AT},
 )
 

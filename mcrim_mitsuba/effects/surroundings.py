@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from mcrim_mitsuba.effects.detector import sends_back_no_more
 from mcrim_mitsuba.effects.effect import (
     Columns,
     Effect,
@@ -308,6 +309,8 @@ APERTURE_AT_DETECTOR = Effect(
     edit=edit_mask_on_detector,
     columns=("arrival_radius_mm",),
     weight=weight_mask_on_detector,
+    # what the detector sends back may have met it where the mask is
+    weighs_in=partial(sends_back_no_more, others=("reflectance", "specular", "cathode_nm")),
     mask_column="arrival_radius_mm",
 )
 
