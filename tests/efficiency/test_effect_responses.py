@@ -127,16 +127,19 @@ WHITE = """<shape type="rectangle" id="plate">
 <sensor """
 
 
+SPECULAR = ('photodetector"/', 'photodetector"><float name="specular" value="0.3"/></bsdf')
+
+
 @pytest.mark.parametrize(
-    ("bench", "edit", "name"),
+    ("name", "bench", "edit"),
     [
-        ("camoo4", ('photodetector"/', 'photodetector"><float name="specular" value="0.3"/></bsdf'),
-         "detector_reflection"),
-        ("camoo4", ("<sensor ", WHITE), "top_reflector"),
-        ("camoo4_pyramid", ("pyramid_height_mm", "crystal_height_mm"), "source_depth"),
+        ("detector_reflection", "camoo4", SPECULAR),
+        ("top_reflector", "camoo4", ("<sensor ", WHITE)),
+        ("source_depth", "camoo4_pyramid", ("pyramid_height_mm", "crystal_height_mm")),
+        ("aperture_at_detector", "bgo_esr", ("<!-- ", "<!-- ")),
     ],
-)  # fmt: skip
-def test_weights_are_left_where_they_do_not_hold(campaign, bench, edit, name):
+)
+def test_weights_are_left_where_they_do_not_hold(campaign, name, bench, edit):
     """They took all that detectors or reflectors send back for the effect's, and all for a box."""
     scene = read_scene(SCENES / f"{bench}.xml")
     other = replace(campaign, scene=scene.edited(scene.path.read_text().replace(*edit)))
