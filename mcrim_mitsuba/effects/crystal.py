@@ -308,15 +308,15 @@ def is_even_along(scene: SceneFile, axis: int, length: str) -> bool:
     parts, ends = scene.parts, list[float]()
     crystals = {m for e in scene.root.iter("emitter") for m in parts.targets(e, "medium")}
     walls = ("cylinder", "prism_sides") if axis == 2 else ()
-    flat = ("rectangle", "panel", *(("disk", "polygon") if axis == 2 else ()))
+    kinds = ("rectangle", "panel", *walls, *(("disk", "polygon") if axis == 2 else ()))
     for face in (shape for shape in parts.shapes if crystals & {*parts.media(shape)}):
-        if face.type not in (*flat, *walls) or face.named("top_width") is not None:
+        if face.type not in kinds or face.named("top_width") is not None:
             return False
         matrix = transform_matrix(face.named("to_world"))
         normal = np.abs(matrix[:3, 2]) / np.linalg.norm(matrix[:3, 2])
         if normal[2 if face.type in walls else normal.argmax()] < 1.0 - 1e-9:
             return False
-        if face.type in flat and normal.argmax() == axis:
+        if face.type not in walls and normal.argmax() == axis:
             ends.append(float(matrix[axis, 3]))
     return bool(ends) and math.isclose(np.ptp(ends), float(scene.parameters[length]), rel_tol=1e-6)
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from functools import partial
 
 import numpy as np
 from lxml import etree
@@ -138,15 +137,12 @@ def spectrophotometer_of(bench: SceneFile) -> SceneFile:
 def polished_slab(scene: SceneFile) -> tuple[float, float] | None:
     """Index of a crystal and its length along the beam, mm, as its faces have them.
 
-    None where the closed form of the transmittance (`measured_transmittance` of
-    `optics.slab_transmittance`) does not hold: faces that are not of plain polish or not those of a
-    box, several indices, or a medium that scatters to some sides more than to others.
+    None where `optics.slab_transmittance.measured_transmittance` does not hold: faces of no plain
+    polish or of no box, several indices, a medium that scatters to some sides more than to others.
     """
     faces = [shape for shape in scene.parts.shapes if shape.get("type") != "beam_detector"]
     worn = [scene.parts.bsdf(face) for face in faces]
-    indices = {
-        None if pair is None else max(pair) for pair in map(partial(indices_of, scene), faces)
-    }
+    indices = {max(indices_of(scene, face) or (math.nan,)) for face in faces}
     even = all(medium.find("phase") is None for medium in scene.root.iter("medium"))
     plain = all(bsdf is not None and bsdf.get("type") == "dielectric" for bsdf in worn)
     rectangles = all(face.get("type") == "rectangle" for face in faces)
@@ -157,7 +153,7 @@ def polished_slab(scene: SceneFile) -> tuple[float, float] | None:
     matrices = np.array([transform_matrix(face.named("to_world")) for face in faces])
     normals = np.abs(matrices[:, :3, 2])
     upright = normals.max(axis=1) > (1.0 - 1e-9) * np.linalg.norm(normals, axis=1)
-    if n is None or not upright.all():
+    if math.isnan(n) or not upright.all():
         return None
     return n, float(np.ptp(matrices[normals.argmax(axis=1) == axis, axis, 3]))
 

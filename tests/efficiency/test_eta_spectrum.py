@@ -152,6 +152,24 @@ def test_a_column_that_does_not_vary_counts(tmp_path, name):
         mcrim_mitsuba.eta_spectrum(file, light, **{name: value})
 
 
+def test_a_photocathode_s_wavelength_is_the_light_s(tmp_path):
+    """It stayed the scene's: a third off at 600 nm."""
+    at = [420.0, 480.0, 600.0]
+    light = written(tmp_path, "wavelength_nm,emission (photons/nm)", at, [0.1, 1, 0.1])
+    scene = read_scene(SCENES / "bgo_esr.xml")
+    over, varying = (
+        mcrim_mitsuba.eta_spectrum(scene, light, photons=100_000),
+        read_light(light, scene),
+    )
+    for nm in at:
+        bench = {**varying.at(nm), "wavelength_nm": nm}
+        alone = mcrim_mitsuba.simulate(scene, photons=100_000, seed=2, **bench)
+        place = int(np.abs(over.light.wavelength_nm - nm).argmin())
+        sigma = np.hypot(over.eta_sigma[place], alone.eta_sigma)
+        off = over.interpolation_error * alone.eta
+        assert abs(over.eta[place] - alone.eta) < LARGEST_Z * np.hypot(sigma, off)
+
+
 def test_a_campaign_is_told_what_its_light_says_of_what_it_does_not_fit(tenfold, here):
     """It took the scene's absorption, and nobody was told."""
     text = CAMPAIGN.format(scene=BENCH.as_posix(), spectrum=f'spectrum = "{tenfold}"')
