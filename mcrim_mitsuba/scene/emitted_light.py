@@ -118,6 +118,11 @@ def read_light(
 
     Raises InputError if a file cannot be read, or a column is none of the scene's parameters.
     """
+    exponents = (e for e in scene.root.iter("float") if e.get("name") == "scattering_exponent")
+    if any(float(exponent.get("value", "0")) for exponent in exponents):
+        problem = "the light has wavelengths, and scattering_exponent gives it others"
+        mend = "set that to 0, and let a column alpha_scat_per_cm say how scattering varies"
+        raise InputError(problem, mend, path=scene.path)
     table = read_data_table(path, roles=(WAVELENGTH, EMISSION))
     names = [_as_named(table, column) for column in range(table.values.shape[1])]
     columns: dict[str, Array] = {}

@@ -10,6 +10,7 @@ from places import SCENES, cases_of
 import mcrim_mitsuba
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
 from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, record_surfaces
 from mcrim_mitsuba.efficiency.noise_free import solve_benches
@@ -150,6 +151,14 @@ def test_a_column_that_does_not_vary_counts(tmp_path, name):
     assert abs(over.eta_emitted - alone.eta) < 4.5 * sigma
     with pytest.raises(InputError, match=f"column {name}.*was given a value too"):
         mcrim_mitsuba.eta_spectrum(file, light, **{name: value})
+
+
+def test_light_does_not_get_its_wavelengths_twice(tenfold):
+    bench = read_scene(BENCH)
+    exponent = bench.edited(add("spectral_scattering", bench, {"scattering_exponent": 4.0}))
+    with pytest.raises(InputError, match="scattering_exponent gives it others; set that to 0"):
+        read_light(tenfold, exponent)
+    assert read_light(tenfold, exponent.with_overrides({"scattering_exponent": 0.0}))
 
 
 def test_a_photocathode_s_wavelength_is_the_light_s(tmp_path):
