@@ -62,6 +62,8 @@ from mcrim_mitsuba.scene.spectrophotometer import (
 
 #: Of the factor on all efficiencies.
 _FACTOR_RANGE = 0.1, 10.0
+#: Relative difference of coefficients that no reading tells apart.
+_SAME = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -487,10 +489,19 @@ def _read_spectrum(entries: TomlTable, campaign: Campaign) -> EmittedLight | Non
     raw = campaign.raw
     if raw is not None and raw.efficiency is not None and not light.detected:
         light = light.seen_by(raw.efficiency.quantum_efficiency)
-    if not light.parameters.keys() & set(COEFFICIENTS):
+    coefficients = {n: values for n, values in light.parameters.items() if n in COEFFICIENTS}
+    if not any(np.ptp(values) > 0.0 for values in coefficients.values()):
         problem = f"neither {ALPHA_SCAT} nor {ALPHA_ABS} varies in {light.path.name}"
         mend = f"add a column, or remove {schema.SPECTRUM}: one wavelength says the same"
         raise entries.refusal(schema.SPECTRUM, problem, mend)
+    # readings are told by its shape: the size is the campaign's
+    for name in coefficients.keys() - {*campaign.parameters, *campaign.varied}:
+        value, there = light.at(light.mean_nm)[name], float(campaign.scene.parameters[name])
+        if abs(value - there) > _SAME * value:
+            problem = f"{name} is {value:.4g} at {light.mean_nm:.0f} nm, the mean wavelength of "
+            problem += f"{light.path.name}, and {there:g} in the scene"
+            mend = f"write [parameters.{name}] with start = {value:.4g}, fixed = true or a prior"
+            raise entries.refusal(schema.SPECTRUM, problem, mend)
     return light
 
 

@@ -12,6 +12,7 @@ from mcrim_mitsuba.effects.scene_edits import WAVELENGTH, set_numbers, set_phase
 from mcrim_mitsuba.optics.emission_band import USUAL_NM, USUAL_WIDTH_NM, scattering_of_colours
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.xml_tree import transform_matrix
 
 
 def edit_polarization(editor: SceneEditor) -> None:
@@ -276,6 +277,10 @@ def edit_births(editor: SceneEditor, name: str, face: str) -> None:
     if name == _DEPTH_MM and editor.emitter.named("source_width_mm") is not None:
         problem = "light is born in a slab, and does not fall with the depth below the top"
         raise editor.refusal(problem, "take source_width_mm away", editor.emitter)
+    for other in (_DEPTH_MM, _SIDE_MM, *(["source_across_mm"] if name == _SIDE_MM else [])):
+        if editor.emitter.named(other) is not None:
+            problem = f"{other} says where light is born, beside which {name} cannot"
+            raise editor.refusal(problem, f"take {other} away", editor.emitter)
     set_numbers(editor, editor.emitter, name)
     editor.reword(editor.emitter, "everywhere in the crystal", f"near the {face} of the crystal")
 
@@ -295,7 +300,29 @@ def weight_births(
     return lengths / -np.expm1(-lengths) * births
 
 
+def is_even_along(scene: SceneFile, axis: int, length: str) -> bool:
+    """Whether the crystal has one cross-section along x or z, and the length of a parameter.
+
+    Of births in others, and of bevelled ones, `weight_births` does not know the mean.
+    """
+    parts, ends = scene.parts, list[float]()
+    crystals = {m for e in scene.root.iter("emitter") for m in parts.targets(e, "medium")}
+    walls = ("cylinder", "prism_sides") if axis == 2 else ()
+    kinds = ("rectangle", "panel", *walls, *(("disk", "polygon") if axis == 2 else ()))
+    for face in (shape for shape in parts.shapes if crystals & {*parts.media(shape)}):
+        if face.type not in kinds or face.named("top_width") is not None:
+            return False
+        matrix = transform_matrix(face.named("to_world"))
+        normal = np.abs(matrix[:3, 2]) / np.linalg.norm(matrix[:3, 2])
+        if normal[2 if face.type in walls else normal.argmax()] < 1.0 - 1e-9:
+            return False
+        if face.type not in walls and normal.argmax() == axis:
+            ends.append(float(matrix[axis, 3]))
+    return bool(ends) and math.isclose(np.ptp(ends), float(scene.parameters[length]), rel_tol=1e-6)
+
+
 _DEPTH_MM = "source_depth_mm"
+_SIDE_MM = "side_depth_mm"
 
 SOURCE_DEPTH = Effect(
     name="source_depth",
@@ -320,6 +347,7 @@ SOURCE_DEPTH = Effect(
     weight=partial(
         weight_births, name=_DEPTH_MM, column="birth_depth_mm", length="crystal_height_mm"
     ),
+    weighs_in=partial(is_even_along, axis=2, length="crystal_height_mm"),
 )
 
 
@@ -338,12 +366,11 @@ SIDE_SOURCE = Effect(
         "alike, and nearer to one edge of a mask's hole than to the other."
     ),
     source=_GAMMAS,
-    parameters=(births_behind("side_depth_mm", "Depth behind the left side"),),
+    parameters=(births_behind(_SIDE_MM, "Depth behind the left side"),),
     excludes=("source_depth",),
     needs=("crystal_width_mm",),
-    edit=partial(edit_births, name="side_depth_mm", face="left side"),
+    edit=partial(edit_births, name=_SIDE_MM, face="left side"),
     columns=("birth_side_mm",),
-    weight=partial(
-        weight_births, name="side_depth_mm", column="birth_side_mm", length="crystal_width_mm"
-    ),
+    weight=partial(weight_births, name=_SIDE_MM, column="birth_side_mm", length="crystal_width_mm"),
+    weighs_in=partial(is_even_along, axis=0, length="crystal_width_mm"),
 )

@@ -16,6 +16,7 @@ from mcrim_mitsuba.effects.effect import (
 )
 from mcrim_mitsuba.effects.scene_edits import WAVELENGTH, set_detector, wavelength_of
 from mcrim_mitsuba.scene.editor import SceneEditor
+from mcrim_mitsuba.scene.scene_file import SceneFile
 
 
 def falloff(
@@ -91,6 +92,12 @@ REFLECTED = partial(
 )
 
 
+def sends_back_no_more(scene: SceneFile, others: tuple[str, ...]) -> bool:
+    """Whether detectors have none of some numbers: records count all that detectors send back."""
+    detectors = scene.parts.all("bsdf", "photodetector")
+    return not any(detector.named(name) is not None for detector in detectors for name in others)
+
+
 DETECTOR_REFLECTION = Effect(
     name="detector_reflection",
     title="diffusely reflecting detector",
@@ -121,6 +128,7 @@ DETECTOR_REFLECTION = Effect(
     edit=partial(set_detector, name="reflectance", value="$detector_reflectance", sends_back=True),
     columns=("detector_hits",),
     weight=partial(REFLECTED, name="detector_reflectance"),
+    weighs_in=partial(sends_back_no_more, others=("specular", "cathode_nm")),
     proposal={"detector_reflectance": _SIMULATED_AT},
 )
 
@@ -156,6 +164,7 @@ DETECTOR_SPECULAR = Effect(
     edit=partial(set_detector, name="specular", value="$detector_specular", sends_back=True),
     columns=("detector_hits",),
     weight=partial(REFLECTED, name="detector_specular"),
+    weighs_in=partial(sends_back_no_more, others=("reflectance", "cathode_nm")),
     proposal={"detector_specular": _SIMULATED_AT},
 )
 

@@ -291,6 +291,8 @@ class Effect:
     #: weight, from record columns, the effect's parameter values and the configuration's
     #: scene parameters.
     weight: Weight | None = None
+    #: ``weighs_in(scene)`` -> whether the `weight` holds in a scene; elsewhere it is simulated.
+    weighs_in: Callable[[SceneFile], bool] | None = None
     #: Parameter values at which the records to be reweighted are simulated; None: without the
     #: effect.
     proposal: Mapping[str, float] | None = field(default=None, hash=False)

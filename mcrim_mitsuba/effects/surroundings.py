@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from mcrim_mitsuba.effects.detector import sends_back_no_more
 from mcrim_mitsuba.effects.effect import (
     Columns,
     Effect,
@@ -48,6 +49,14 @@ def edit_top_reflector(editor: SceneEditor) -> None:
     )
 
 
+def alone_in(scene: SceneFile) -> bool:
+    """Whether nothing else reflects as it does: records count all reflections together."""
+    clear = ("dielectric", "polish", "roughdielectric", "aperture", "photodetector")
+    others = (shape for shape in scene.parts.shapes if shape.get("id") != "top_reflector")
+    worn = (bsdf for shape in others for bsdf in scene.parts.worn_by(shape))
+    return all(bsdf.type in clear for bsdf in worn)
+
+
 TOP_REFLECTOR = Effect(
     name="top_reflector",
     title="reflector on the top face",
@@ -78,6 +87,7 @@ TOP_REFLECTOR = Effect(
         name="top_reflectance",
         simulated_at=_REFLECTOR_SIMULATED_AT,
     ),
+    weighs_in=alone_in,
     proposal={"top_reflectance": _REFLECTOR_SIMULATED_AT},
 )
 
@@ -299,6 +309,8 @@ APERTURE_AT_DETECTOR = Effect(
     edit=edit_mask_on_detector,
     columns=("arrival_radius_mm",),
     weight=weight_mask_on_detector,
+    # what the detector sends back may have met it where the mask is
+    weighs_in=partial(sends_back_no_more, others=("reflectance", "specular", "cathode_nm")),
     mask_column="arrival_radius_mm",
 )
 

@@ -24,10 +24,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from lxml import etree
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import COUNTED, Value
+from mcrim_mitsuba.core.numbers import COEFFICIENTS, COUNTED, Value
 from mcrim_mitsuba.core.run import one_thread
 from mcrim_mitsuba.effects.effect import Effect, modules_of
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
@@ -36,6 +37,7 @@ from mcrim_mitsuba.runs.scene_units import PortableScene, SceneUnit
 from mcrim_mitsuba.scene.check_text import detectors_of
 from mcrim_mitsuba.scene.emitted_light import Colours
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.xml_tree import Node
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords, ScatteringProposals
 
 if TYPE_CHECKING:
@@ -352,14 +354,33 @@ def tells_detectors(scene: SceneFile) -> bool:
 
 
 def _changes_only(name: str, plugin: str, scene: SceneFile, overrides: Mapping[str, Value]) -> bool:
-    """Whether overrides change nothing but what is called `name` of a plugin's elements."""
-    other = scene.with_overrides(overrides)
-    for before, after in zip(scene.root.iter(), other.root.iter(), strict=True):
-        parent = before.getparent()
-        of_plugin = parent is not None and parent.get("type") == plugin
-        if before.attrib != after.attrib and not (of_plugin and before.get("name") == name):
-            return False
-    return True
+    """Whether overrides change what is called `name` of all of a plugin's elements, no more."""
+    elements = (e for e in scene.root.iter(etree.Element) if e.type == plugin)
+    return _changed(scene, overrides) == [element.named(name) for element in elements]
+
+
+def _changed(scene: SceneFile, overrides: Mapping[str, Value]) -> list[Node]:
+    """Elements of a scene that overrides change."""
+    pairs = zip(scene.root.iter(), scene.with_overrides(overrides).root.iter(), strict=True)
+    return [before for before, after in pairs if before.attrib != after.attrib]
+
+
+@functools.lru_cache(maxsize=128)
+def refuse_shared_coefficients(scene: SceneFile) -> None:
+    """Refuse (InputError) a scene whose coefficients are not the crystal's alone.
+
+    Records answer for the crystal: all else would keep its own.
+    """
+    crystals = [m for e in scene.root.iter("emitter") for m in scene.parts.targets(e, "medium")]
+    for name in COEFFICIENTS:
+        changed = _changed(scene, {name: 0.25 if scene.parameters[name] == 0.5 else 0.5})
+        for other in changed:
+            if (medium := other.getparent()) in crystals or medium is None:
+                continue
+            problem = f"{name} is not the crystal's alone, as fits and tables need it: "
+            mend = "give that a parameter of its own, and the crystal this one"
+            path, line = scene.place_of(other)
+            raise InputError(f"{problem}{medium.label} has it", mend, path=path, line=line)
 
 
 def counted(

@@ -1,9 +1,9 @@
 """The light collection efficiency over the emission's wavelengths, from few simulations.
 
 Coefficients of scattering and absorption only weight photons' histories, so that one simulation
-answers every wavelength. Indices bend light and cannot be weighted: the bench is simulated at a few
-nodes in 1 / wavelength^2, in which dispersion is nearly a line, with the same random numbers, and
-eta is a polynomial between them.
+answers every wavelength. Indices bend light and cannot be weighted, nor can a photocathode's: the
+bench is simulated at some nodes in 1 / wavelength^2, in which dispersion is nearly a line, with the
+same random numbers, and eta is a polynomial between them.
 
 Light of a wavelength counts as it is emitted, collected and detected: the signal is the integral of
 emission, eta and quantum efficiency (Eqs. 2 and 3 of V. Alenkov et al., JINST 8 (2013) P06002, with
@@ -35,8 +35,9 @@ if TYPE_CHECKING:
 
 #: Photons of a simulation unless asked otherwise.
 PHOTONS = 2_000_000
-#: Simulations where an index varies.
+#: Simulations where an index varies, and where the scene's wavelength is a photocathode's.
 NODES = 4
+_NODES_OF_FILM = 14
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -149,11 +150,14 @@ class _Plan:
         asked = np.append(at, mean_nm)
         points = [_coefficients(scene, light, nm) for nm in asked.tolist()]
         bending = [name for name in light.parameters if name not in COEFFICIENTS]
+        # that of a photocathode, or of fine roughness
+        follows = [WAVELENGTH] if WAVELENGTH in scene.parameters else []
         nodes = np.array([mean_nm])
-        if bending:
-            nodes = 1.0 / np.sqrt(chebyshev_nodes(1.0 / at[-1] ** 2, 1.0 / at[0] ** 2, NODES))
-        values = [light.at(nm) for nm in nodes.tolist()]
-        benches = [scene.with_overrides({name: at[name] for name in bending}) for at in values]
+        if follows or any(np.ptp(light.parameters[name]) > 0.0 for name in bending):
+            ends = 1.0 / at[-1] ** 2, 1.0 / at[0] ** 2
+            nodes = 1.0 / np.sqrt(chebyshev_nodes(*ends, _NODES_OF_FILM if follows else NODES))
+        values = [{**light.at(nm), WAVELENGTH: nm} for nm in nodes.tolist()]
+        benches = [scene.with_overrides({n: at[n] for n in bending + follows}) for at in values]
         return cls(asked, points, nodes, benches)
 
 

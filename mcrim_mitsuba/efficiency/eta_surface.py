@@ -28,6 +28,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     content_of,
     counted,
     merged,
+    refuse_shared_coefficients,
     standard_error,
     table_of,
 )
@@ -260,6 +261,7 @@ class EtaRun:
     """
 
     def __init__(self, request: EtaRequest) -> None:
+        refuse_shared_coefficients(request.scene)
         run = request.run
         self.request, self.most = request, run.photons_or(MOST_PHOTONS)
         self._grid = request.grid

@@ -34,6 +34,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     difference,
     has_open_mask,
     open_aperture,
+    refuse_shared_coefficients,
     tells_detectors,
 )
 from mcrim_mitsuba.efficiency.proposals import (
@@ -49,8 +50,8 @@ from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance, tran
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
-    BEAM_AXIS,
     GAP_INDEX,
+    polished_slab,
     scattered_share,
     spectrophotometer_of,
 )
@@ -409,6 +410,8 @@ class ResponseMaker:
         if not self._weighs(effect):
             source = replace(run, photons=photons, check=False)
             return source, source.table()
+        if effect.edit is not None:  # or the scene cannot have it, and is refused
+            _with_effect(self.campaign.scene, effect)
         if effect.proposal is not None:
             scene = _with_effect(self.campaign.scene, effect)
             values = {**run.parameters, **effect.proposal}
@@ -541,6 +544,8 @@ class ResponseMaker:
 
     def _weighs(self, effect: Effect) -> bool:
         """Whether an effect is predicted by weighting photon records."""
+        if effect.weighs_in is not None and not effect.weighs_in(self.campaign.scene):
+            return False
         # a mask cannot be taken off records that were made with it
         return (effect.weight or effect.colours) is not None and (
             self._open_mask or effect.mask_column == "mask_radius_mm"
@@ -600,13 +605,14 @@ class ResponseMaker:
             self._ways[label] = "the beam is simulated"
             return None
         self._ways[label] = "the closed form, the crystal being polished as it is"
-        axis = str(scene.parameters[BEAM_AXIS])
-        length = float(scene.parameters[f"crystal_{'height' if axis == 'z' else 'width'}_mm"])
+        slab = polished_slab(scene)
+        assert slab is not None  # there is a share
+        n, length = slab
 
         def table(grid: Grid) -> EtaGrid:
             alpha_scat, alpha_abs = grid.coefficients_per_cm()
             internal = transmittance(alpha_scat + alpha_abs, length)
-            log_t = np.log(measured_transmittance(internal, float(scene.parameters["n_crystal"])))
+            log_t = np.log(measured_transmittance(internal, n))
             return EtaGrid(log_t, np.zeros((BATCHES, *log_t.shape), dtype=np.float32))
 
         return table(self.grid), table(self._coarse)
@@ -672,6 +678,7 @@ def _with_effect(scene: SceneFile, effect: Effect) -> SceneFile:
 @functools.lru_cache(maxsize=64)
 def _usual(scene: SceneFile) -> SceneFile:
     """With usual coefficients: records answer all, so scenes that differ in these only are one."""
+    refuse_shared_coefficients(scene)
     usual = {ALPHA_SCAT: USUAL_ALPHA_SCAT_PER_CM, ALPHA_ABS: USUAL_ALPHA_ABS_PER_CM}
     return scene.with_overrides(usual)
 

@@ -328,7 +328,7 @@ def eta_spectrum(
         As of `simulate`.
     run, photons, precision, seed, threads, variant, progress, check
         How it is simulated, see `Run`: 2 million photons of each simulation, of which there is
-        one, or four where an index varies.
+        one, four where an index varies, 14 where a film's wavelength does.
     **parameters
         Scene parameters that differ from the file's (``n_gap=1.46``).
 

@@ -48,7 +48,7 @@ class EmittedLight:
     emission: Array
     #: Of the detector, a fraction; 1 where it is not known.
     efficiency: Array
-    #: Scene parameters that vary.
+    #: Scene parameters that vary, or differ from the scene's.
     parameters: Mapping[str, Array]
     _: KW_ONLY
     #: Whether the efficiency was given.
@@ -118,6 +118,11 @@ def read_light(
 
     Raises InputError if a file cannot be read, or a column is none of the scene's parameters.
     """
+    exponents = (e for e in scene.root.iter("float") if e.get("name") == "scattering_exponent")
+    if any(float(exponent.get("value", "0")) for exponent in exponents):
+        problem = "the light has wavelengths, and scattering_exponent gives it others"
+        mend = "set that to 0, and let a column alpha_scat_per_cm say how scattering varies"
+        raise InputError(problem, mend, path=scene.path)
     table = read_data_table(path, roles=(WAVELENGTH, EMISSION))
     names = [_as_named(table, column) for column in range(table.values.shape[1])]
     columns: dict[str, Array] = {}
@@ -142,7 +147,8 @@ def read_light(
         if name not in columns
     }
     varying |= {n: np.interp(grid, emission.wavelength_nm, v) for n, v in columns.items()}
-    varying = {name: values for name, values in varying.items() if np.ptp(values) > 0.0}
+    # what is the same at all wavelengths may still be another number than the scene's
+    varying = {n: values for n, values in varying.items() if (values != scene.parameters[n]).any()}
     emitted = EmittedLight(
         grid, light, np.ones_like(grid), varying, detected=False, path=Path(path)
     )
@@ -179,6 +185,9 @@ def _columns(
             row = int(wrong.argmax())
             problem = f"{name} = {values[row]:g} is out of range"
             raise table.refusal(row, column, problem, f"give {low:g} to {high:g}")
+        if name in scene.overrides:
+            problem = f"{name} is a column, and was given a value too"
+            raise table.refusal(None, column, problem, "leave one of them out")
         columns[name] = values
     order = np.argsort(columns[WAVELENGTH], kind="stable")
     same = np.diff(columns[WAVELENGTH][order]) <= 0.0

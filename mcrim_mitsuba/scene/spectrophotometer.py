@@ -12,12 +12,14 @@ import math
 import re
 from collections.abc import Mapping
 
+import numpy as np
 from lxml import etree
 
 from mcrim_mitsuba.core.numbers import COUNTED, Value
 from mcrim_mitsuba.scene.check_text import indices_of, is_filled
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.xml_tree import transform_matrix
 
 BEAM_DIAMETER = "beam_diameter_mm"
 BEAM_AXIS = "beam_axis"
@@ -132,22 +134,36 @@ def spectrophotometer_of(bench: SceneFile) -> SceneFile:
     return derived
 
 
-def scattered_share(scene: SceneFile, acceptance_deg: float) -> float | None:
-    """Part of once scattered light that a detector behind a polished crystal takes.
+def polished_slab(scene: SceneFile) -> tuple[float, float] | None:
+    """Index of a crystal and its length along the beam, mm, as its faces have them.
 
-    By it the closed form of the transmittance, in which all scattered light is lost (see
-    `optics.slab_transmittance.measured_transmittance`), is too low, for each mean free path in the
-    crystal. None where that form does not hold at all: faces that are not of plain polish, or a
-    medium that scatters to some sides more than to others.
+    None where `optics.slab_transmittance.measured_transmittance` does not hold: faces of no plain
+    polish or of no box, several indices, a medium that scatters to some sides more than to others.
     """
     faces = [shape for shape in scene.parts.shapes if shape.get("type") != "beam_detector"]
     worn = [scene.parts.bsdf(face) for face in faces]
-    indices = [indices_of(scene, face) for face in faces]
+    indices = {max(indices_of(scene, face) or (math.nan,)) for face in faces}
     even = all(medium.find("phase") is None for medium in scene.root.iter("medium"))
     plain = all(bsdf is not None and bsdf.get("type") == "dielectric" for bsdf in worn)
     rectangles = all(face.get("type") == "rectangle" for face in faces)
     graded = any(e.get("name") == "scattering_gradient" for e in scene.root.iter("float"))
-    if not (even and plain and rectangles) or graded or None in indices:
+    if not (even and plain and rectangles) or graded or len(indices) != 1:
         return None
-    n = max(max(pair) for pair in indices if pair is not None)
-    return 0.5 * (1.0 - math.sqrt(1.0 - (math.sin(math.radians(acceptance_deg)) / n) ** 2))
+    (n,), axis = indices, "xyz".index(str(scene.parameters[BEAM_AXIS]))
+    matrices = np.array([transform_matrix(face.named("to_world")) for face in faces])
+    normals = np.abs(matrices[:, :3, 2])
+    upright = normals.max(axis=1) > (1.0 - 1e-9) * np.linalg.norm(normals, axis=1)
+    if math.isnan(n) or not upright.all():
+        return None
+    return n, float(np.ptp(matrices[normals.argmax(axis=1) == axis, axis, 3]))
+
+
+def scattered_share(scene: SceneFile, acceptance_deg: float) -> float | None:
+    """Part of once scattered light that a detector behind a polished crystal takes.
+
+    By it the closed form of the transmittance, in which all scattered light is lost, is too low,
+    for each mean free path in the crystal. None where that form does not hold (`polished_slab`).
+    """
+    if (slab := polished_slab(scene)) is None:
+        return None
+    return 0.5 * (1.0 - math.sqrt(1.0 - (math.sin(math.radians(acceptance_deg)) / slab[0]) ** 2))

@@ -14,6 +14,7 @@ from places import SCENES, cases_of, tables_of
 from validate.benches import home
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.efficiency.bench import Bench
@@ -24,6 +25,7 @@ from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.repair import mended_files, repair
 from mcrim_mitsuba.inference.simulations import CampaignSimulations, calibrate
+from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.simulation import Simulation
@@ -114,6 +116,59 @@ def test_contact_with_a_wrapping_is_predicted_between_its_nodes(campaign):
             expected, expected_sigma = directly(wrapped, size, row, seed=13)
             assert abs(eta - expected) < 4.5 * math.hypot(sigma, expected_sigma), (name, row)
             assert sigma < 0.015 * eta
+
+
+WHITE = """<shape type="rectangle" id="plate">
+  <transform name="to_world"><scale value="14"/><translate z="12"/></transform>
+  <bsdf type="twosided">
+    <bsdf type="diffuse"><spectrum name="reflectance" value="0.95"/></bsdf>
+  </bsdf>
+</shape>
+<sensor """
+
+
+SPECULAR = ('photodetector"/', 'photodetector"><float name="specular" value="0.3"/></bsdf')
+
+
+@pytest.mark.parametrize(
+    ("name", "bench", "edit"),
+    [
+        ("detector_reflection", "camoo4", SPECULAR),
+        ("top_reflector", "camoo4", ("<sensor ", WHITE)),
+        ("source_depth", "camoo4_pyramid", ("pyramid_height_mm", "crystal_height_mm")),
+        ("aperture_at_detector", "bgo_esr", ("<!-- ", "<!-- ")),
+    ],
+)
+def test_weights_are_left_where_they_do_not_hold(campaign, name, bench, edit):
+    """They took all that detectors or reflectors send back for the effect's, and all for a box."""
+    scene = read_scene(SCENES / f"{bench}.xml")
+    other = replace(campaign, scene=scene.edited(scene.path.read_text().replace(*edit)))
+    effect = other.catalogue[name]
+    assert not effect.weighs_in(other.scene) and effect.weighs_in(campaign.scene)
+    responses = ResponseMaker(other, Run(2 * LANES, seed=3, check=False)).make([effect])
+    size = {name: SIZES[name]}
+    for row, (eta, sigma) in enumerate(predicted(other, responses, size)):
+        expected, expected_sigma = directly(other, size, row, seed=13)
+        assert abs(eta - expected) < 4.5 * math.hypot(sigma, expected_sigma), (row, eta, expected)
+
+
+def test_births_are_weighted_in_boxes_and_upright_solids_alone(campaign):
+    def weighed(scene):
+        names = ("source_depth", "side_source")
+        return [campaign.catalogue[name].weighs_in(scene) for name in names]
+
+    assert (
+        weighed(campaign.scene) == weighed(read_scene(SCENES / "lyso_teflon.xml")) == [True, True]
+    )
+    hexagon = read_scene(SCENES / "camoo4_hexagonal.xml")
+    text = hexagon.path.read_text().replace("crystal_across_flats_mm", "crystal_width_mm")
+    assert weighed(hexagon.edited(text)) == [True, False]
+    bevelled = campaign.scene.edited(add("edge_chamfer", campaign.scene))
+    assert weighed(bevelled) == [False, False]
+    column = '<emitter type="scintillation"><float name="source_across_mm" value="4"/>'
+    text = SCENE.read_text().replace('<emitter type="scintillation">', column)
+    with pytest.raises(InputError, match="source_across_mm says where light is born"):
+        add("side_source", campaign.scene.edited(text))
 
 
 def test_interpolation_says_how_wrong_it_may_be(campaign, made):

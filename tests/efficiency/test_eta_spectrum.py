@@ -10,6 +10,7 @@ from places import SCENES, cases_of
 import mcrim_mitsuba
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
 from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, record_surfaces
 from mcrim_mitsuba.efficiency.noise_free import solve_benches
@@ -135,6 +136,57 @@ def test_what_is_wrong_is_said_with_its_place(tmp_path, text, said):
     with pytest.raises(InputError, match=said) as refused:
         read_light(file, read_scene(BENCH, {}))
     assert "light.csv" in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["alpha_abs_per_cm", "n_gap"])
+def test_a_column_that_does_not_vary_counts(tmp_path, name):
+    """A number that all wavelengths have in common was the scene's: 4.5 errors."""
+    at, value = [500.0, 540.0, 580.0], {"alpha_abs_per_cm": 0.5, "n_gap": 1.46}[name]
+    header = f"wavelength_nm,emission (photons/nm),{name}"
+    light, file = written(tmp_path, header, at, [1, 2, 1], 3 * [value]), read_scene(BENCH)
+    over = mcrim_mitsuba.eta_spectrum(file, light, photons=200_000)
+    alone = mcrim_mitsuba.simulate(file, photons=200_000, seed=1, **{name: value})
+    assert len(over.nodes_nm) == 1
+    sigma = np.hypot(over.eta_emitted_sigma, alone.eta_sigma)
+    assert abs(over.eta_emitted - alone.eta) < 4.5 * sigma
+    with pytest.raises(InputError, match=f"column {name}.*was given a value too"):
+        mcrim_mitsuba.eta_spectrum(file, light, **{name: value})
+
+
+def test_light_does_not_get_its_wavelengths_twice(tenfold):
+    bench = read_scene(BENCH)
+    exponent = bench.edited(add("spectral_scattering", bench, {"scattering_exponent": 4.0}))
+    with pytest.raises(InputError, match="scattering_exponent gives it others; set that to 0"):
+        read_light(tenfold, exponent)
+    assert read_light(tenfold, exponent.with_overrides({"scattering_exponent": 0.0}))
+
+
+def test_a_photocathode_s_wavelength_is_the_light_s(tmp_path):
+    """It stayed the scene's: a third off at 600 nm."""
+    at = [420.0, 480.0, 600.0]
+    light = written(tmp_path, "wavelength_nm,emission (photons/nm)", at, [0.1, 1, 0.1])
+    scene = read_scene(SCENES / "bgo_esr.xml")
+    over, varying = (
+        mcrim_mitsuba.eta_spectrum(scene, light, photons=100_000),
+        read_light(light, scene),
+    )
+    for nm in at:
+        bench = {**varying.at(nm), "wavelength_nm": nm}
+        alone = mcrim_mitsuba.simulate(scene, photons=100_000, seed=2, **bench)
+        place = int(np.abs(over.light.wavelength_nm - nm).argmin())
+        sigma = np.hypot(over.eta_sigma[place], alone.eta_sigma)
+        off = over.interpolation_error * alone.eta
+        assert abs(over.eta[place] - alone.eta) < LARGEST_Z * np.hypot(sigma, off)
+
+
+def test_a_campaign_is_told_what_its_light_says_of_what_it_does_not_fit(tenfold, here):
+    """It took the scene's absorption, and nobody was told."""
+    text = CAMPAIGN.format(scene=BENCH.as_posix(), spectrum=f'spectrum = "{tenfold}"')
+    held, fitted = text.index("[parameters.alpha_abs"), text.index("[tolerances]")
+    (here / "c.toml").write_text(text[:held] + text[fitted:])
+    (here / "readings.csv").write_text("label,signal,sigma,n_gap\na,20,1,1\nb,40,1,1.46\n")
+    with pytest.raises(InputError, match=r"line 3.*alpha_abs_per_cm is 0.07.*0.039 in the scene"):
+        mcrim_mitsuba.read_campaign(here / "c.toml")
 
 
 def test_the_command_shows_and_draws_it(tenfold, mcrim, here):

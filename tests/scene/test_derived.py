@@ -14,6 +14,7 @@ from mcrim_mitsuba.scene.emitted_light import Colours, EmittedLight, read_light
 from mcrim_mitsuba.scene.scene_file import ScenePlan, read_scene
 from mcrim_mitsuba.scene.spectrophotometer import (
     BEAM_PARAMETERS,
+    polished_slab,
     refused_of_beam,
     scattered_share,
     spectrophotometer_of,
@@ -118,6 +119,18 @@ def test_a_beam_must_not_pass_beside_the_crystal():
     values = {**BEAM_PARAMETERS, "crystal_width_mm": 10.0, "crystal_height_mm": 2.5}
     assert too_wide(values)[0] == "the beam is 3 mm wide, and the crystal across it 2.5 mm"
     assert too_wide({**values, "beam_axis": "z"}) is None
+
+
+def test_the_slab_in_the_beam_is_that_of_the_faces(bench):
+    """Whatever its index is called (a traceback), and thinner one way than the other."""
+    text = BENCH.read_text().replace("n_crystal", "n_scint")
+    text = text.replace('e y="$crystal_width_mm"', 'e y="5"')
+    scene = spectrophotometer_of(bench.edited(text.replace('e y="-$crystal_width_mm"', 'e y="-5"')))
+    assert polished_slab(scene) == (2.01, 10.0)
+    assert polished_slab(scene.with_overrides({"beam_axis": "y"})) == (2.01, 5.0)
+    assert polished_slab(scene.with_overrides({"beam_axis": "z"})) == (2.01, 10.0)
+    leaning = text.replace('<rotate x="1" angle="90"/>', '<rotate x="1" angle="80"/>')
+    assert polished_slab(spectrophotometer_of(bench.edited(leaning))) is None
 
 
 def test_the_share_of_scattered_light_behind_plain_polish(bench):
