@@ -96,7 +96,7 @@ def configuration_words(parameters: Mapping[str, Value], comments: Mapping[str, 
     Its parameters are the scene's or the beam's, perhaps with ``kind``; `comments` on the scene's
     say what values stand for, and what else parameters are called.
     """
-    said = [TRANSMITTANCE] if parameters.get(KIND, LIGHT) == TRANSMITTANCE else []
+    phrases = [TRANSMITTANCE] if parameters.get(KIND, LIGHT) == TRANSMITTANCE else []
     for name, value in parameters.items():
         text = short_text(value)
         called = {float(n): what.strip() for n, what in _STANDS_FOR.findall(comments.get(name, ""))}
@@ -104,16 +104,16 @@ def configuration_words(parameters: Mapping[str, Value], comments: Mapping[str, 
             continue
         if name == GAP_INDEX:
             usual = "liquid" if is_filled(float(value)) else "air"
-            said.append(f"{called.get(float(value), usual)} (n = {text})")
+            phrases.append(f"{called.get(float(value), usual)} (n = {text})")
         elif name in _SAID:
-            said.append(_SAID[name].format(text))
+            phrases.append(_SAID[name].format(text))
         elif value in called:
-            said.append(f"{called[float(value)]} ({name} = {text})")
+            phrases.append(f"{called[float(value)]} ({name} = {text})")
         else:
             meaning = _meaning(name, comments)
             unit = unit_of(name) if meaning else None
-            said.append(" ".join(filter(None, (meaning or f"{name} =", text, unit))))
-    return ", ".join(said)
+            phrases.append(" ".join(filter(None, (meaning or f"{name} =", text, unit))))
+    return ", ".join(phrases)
 
 
 def _meaning(name: str, comments: Mapping[str, str]) -> str:
@@ -357,11 +357,11 @@ class _Cloud:
         pairs = list(combinations(range(len(leading)), 2))
         means, sigmas, variances = [], [], []
         for effects in leading:
-            own = self.of == self.names.index(" + ".join(effects))
+            members = self.of == self.names.index(" + ".join(effects))
             # by quantiles: one point far away would make up most of a variance
-            low, middle, high = np.quantile(self.signals[own], ndtr((-1.0, 0.0, 1.0)), axis=0)
+            low, middle, high = np.quantile(self.signals[members], ndtr((-1.0, 0.0, 1.0)), axis=0)
             means.append(middle)
-            sigmas.append(np.median(self.sigmas[own], axis=0))
+            sigmas.append(np.median(self.sigmas[members], axis=0))
             variances.append((0.5 * (high - low)) ** 2)
         rises = [
             (means[a] - means[b]) ** 2
