@@ -525,14 +525,11 @@ def test_transmittances_that_were_not_measured_are_proposed(scenes):
     assert CampaignSimulations(angles, few).proposals().configurations == [
         {"kind": "transmittance", "acceptance_deg": 2.0}
     ]
-    literal = replace(light, scene=light.scene.edited(nameless(light.scene)))
+    # a scene that does not name the crystal's width
+    text = light.scene.path.read_text().replace("crystal_width_mm", "side_mm")
+    literal = replace(light, scene=light.scene.edited(text))
     found = CampaignSimulations(literal, few).proposals().configurations
     assert not any("kind" in each for each in found)
-
-
-def nameless(scene):
-    """A scene that does not name the crystal's width."""
-    return scene.path.read_text().replace("crystal_width_mm", "side_mm")
 
 
 def test_a_measured_transmittance_goes_on_into_a_plan(scenes, without_photons):
