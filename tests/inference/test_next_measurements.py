@@ -17,11 +17,7 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.next_measurements import _offers, next_measurements
-from mcrim_mitsuba.inference.simulations import (
-    CampaignSimulations,
-    MeasurementProposals,
-    buildable,
-)
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, MeasurementProposals, buildable
 from mcrim_mitsuba.inference.weighing import Hypothesis, weigh_hypotheses
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
