@@ -46,11 +46,11 @@ def cache(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def every_third_row(monkeypatch):
-    """Of tables with more than a dozen: verbs do with few rows what they do with many."""
+    """Of tables with more than six: verbs do with few rows what they do with many."""
 
     def thinned(*words):
         table = read_table(*words)
-        few = len(table.readings) <= 12
+        few = len(table.readings) <= 6
         return table if few else replace(table, readings=table.readings[::3])
 
     monkeypatch.setattr(campaigns, "read_table", thinned)
