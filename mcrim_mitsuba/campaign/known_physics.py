@@ -127,6 +127,8 @@ class KnownCrystal:
     def _reason_against(self, name: str, campaign: Campaign) -> str | None:
         """Why a piece of known physics is not put into the model; None where it can be."""
         has = name in (*campaign.effects, *campaign.known_physics)
+        if not has and name not in campaign.catalogue:
+            return "it was taken out of the catalogue"
         if has or campaign.catalogue[name].is_in(campaign.scene):
             return _IN_THE_MODEL
         if name == POLARIZATION and without_wrapping(campaign.scene) is None:

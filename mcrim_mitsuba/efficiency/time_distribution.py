@@ -87,7 +87,8 @@ class TimeCells:
         time_ps = times_ps.sum(axis=0)
         cell = np.searchsorted(self.edges_ps, time_ps, side="right") - 1
         place = np.ravel_multi_index((group, kind, cell), self._shape)
-        self.light += np.bincount(place, weight, math.prod(self._shape)).reshape(self._shape)
+        # most of the many cells get none
+        np.add.at(self.light.reshape(-1), place, weight)
         self._times += np.bincount(cell, weight * time_ps, self._shape[-1])
         for power in range(3):
             self.moments[:, power] += np.bincount(group, weight * time_ps**power, GROUPS)
@@ -183,16 +184,23 @@ def first_photons(times_ps: Array, light: Array, detected: int, most: int) -> Ar
     Statistics, 3rd ed., Wiley 2003, section 2.1).
     """
     arrived = np.minimum(before(light), 1.0)
+    # nothing comes in cells without light, nor where 60 more are expected than are told of, twice:
+    # that not all of these are there has a probability of 1e-23
+    end = int(np.searchsorted(arrived, (2 * most + 60) / detected)) + 1
+    (at,) = light[:end].nonzero()
+    arrived, times_ps = arrived[at], times_ps[at]
     left = 1.0 - arrived
     odds = arrived / np.where(left > 0.0, left, 1.0)
     # probability of 0, 1, ... arrivals so far
     chance = np.where(
         left > 0.0, np.exp(detected * np.log1p(-np.where(left > 0.0, arrived, 0.0))), 0.0
     )
-    fewer, mean_and_spread = np.zeros(len(arrived)), np.empty((2, most))
+    # that fewer have arrived, at the beginning and at the end of every cell
+    fewer, mean_and_spread = np.zeros(len(arrived) + 1), np.empty((2, most))
+    fewer[0] = 1.0
     for number in range(most):
-        fewer = fewer + chance
-        part = -np.diff(fewer, prepend=1.0)
+        fewer[1:] += chance
+        part = fewer[:-1] - fewer[1:]
         # no products of BLAS, whose threads wait for each other
         mean = float((part * times_ps).sum())
         variance = float((part * (times_ps - mean) ** 2).sum())

@@ -13,6 +13,7 @@ readings.
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -95,7 +96,7 @@ def configuration_words(parameters: Mapping[str, Value], comments: Mapping[str, 
     Its parameters are the scene's or the beam's, perhaps with ``kind``; `comments` on the scene's
     say what values stand for, and what else parameters are called.
     """
-    said = [TRANSMITTANCE] if parameters.get(KIND, LIGHT) == TRANSMITTANCE else []
+    phrases = [TRANSMITTANCE] if parameters.get(KIND, LIGHT) == TRANSMITTANCE else []
     for name, value in parameters.items():
         text = short_text(value)
         called = {float(n): what.strip() for n, what in _STANDS_FOR.findall(comments.get(name, ""))}
@@ -103,16 +104,16 @@ def configuration_words(parameters: Mapping[str, Value], comments: Mapping[str, 
             continue
         if name == GAP_INDEX:
             usual = "liquid" if is_filled(float(value)) else "air"
-            said.append(f"{called.get(float(value), usual)} (n = {text})")
+            phrases.append(f"{called.get(float(value), usual)} (n = {text})")
         elif name in _SAID:
-            said.append(_SAID[name].format(text))
+            phrases.append(_SAID[name].format(text))
         elif value in called:
-            said.append(f"{called[float(value)]} ({name} = {text})")
+            phrases.append(f"{called[float(value)]} ({name} = {text})")
         else:
             meaning = _meaning(name, comments)
             unit = unit_of(name) if meaning else None
-            said.append(" ".join(filter(None, (meaning or f"{name} =", text, unit))))
-    return ", ".join(said)
+            phrases.append(" ".join(filter(None, (meaning or f"{name} =", text, unit))))
+    return ", ".join(phrases)
 
 
 def _meaning(name: str, comments: Mapping[str, str]) -> str:
@@ -148,10 +149,13 @@ def next_measurements(
         mounted = [offer.parameters for offer in chosen if offer.is_reading]
         return proposals.hours(*mounted) + sum(offer.minutes for offer in chosen) / 60.0
 
+    @functools.lru_cache(ADVICE.together)
+    def likelihood(place: int) -> Array:
+        return answering.log_likelihood(outcomes, place)
+
     def bought_by(places: tuple[int, ...]) -> tuple[float, _Left]:
         """Half the sum of the parts by which error and doubt fall, per hour, discounted."""
-        likelihood = np.sum([answering.log_likelihood(outcomes, i) for i in places], axis=0)
-        left = answering.left(likelihood)
+        left = answering.left(sum(map(likelihood, places[1:]), likelihood(places[0])))
         fallen = 1.0 - left.error / before.error if cloud.yields is not None else 0.0
         doubt = (left.probability - before.probability) / max(1.0 - before.probability, 1e-6)
         worth = 0.5 * (fallen + doubt) / hours(places) * left.kept**ADVICE.discount
@@ -331,16 +335,19 @@ class _Cloud:
 
     def left(self, log_likelihood: Array) -> _Left:
         """What outcomes leave, (outcomes, points) of logarithms; no point: as likely as it was."""
-        weights = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True)) * self.weights
-        weights /= weights.sum(axis=1, keepdims=True)
-        by_name = np.stack([weights[:, self.of == k].sum(axis=1) for k in range(len(self.names))])
-        probability = self.covered * min(float(by_name.max(axis=0).mean()), 1.0)
+        weights = log_likelihood - log_likelihood.max(axis=1, keepdims=True)
+        weights = np.exp(weights, out=weights)
+        weights *= self.weights
+        cumulated = np.cumsum(weights, axis=1)
+        total = cumulated[:, -1:]
+        of_name = self.of[:, None] == np.arange(len(self.names))
+        by_name = (weights @ of_name.astype(float)) / total
+        probability = self.covered * min(float(by_name.max(axis=1).mean()), 1.0)
         if self.yields is None:
             return _Left(math.nan, 1.0, None, probability)
-        cumulated = np.cumsum(weights, axis=1)
-        _, low, median, high, _ = (
-            self.yields[np.minimum((cumulated < part).sum(axis=1), len(self.yields) - 1)]
-            for part in QUANTILES
+        low, median, high = (
+            self.yields[np.minimum((cumulated < part * total).sum(axis=1), len(self.yields) - 1)]
+            for part in QUANTILES[1:4]
         )
         error = np.hypot(self.widening * 0.5 * (high - low) / median, self.efficiency)
         return _Left(*_most_kept(error), probability)
@@ -350,11 +357,11 @@ class _Cloud:
         pairs = list(combinations(range(len(leading)), 2))
         means, sigmas, variances = [], [], []
         for effects in leading:
-            own = self.of == self.names.index(" + ".join(effects))
+            members = self.of == self.names.index(" + ".join(effects))
             # by quantiles: one point far away would make up most of a variance
-            low, middle, high = np.quantile(self.signals[own], ndtr((-1.0, 0.0, 1.0)), axis=0)
+            low, middle, high = np.quantile(self.signals[members], ndtr((-1.0, 0.0, 1.0)), axis=0)
             means.append(middle)
-            sigmas.append(np.median(self.sigmas[own], axis=0))
+            sigmas.append(np.median(self.sigmas[members], axis=0))
             variances.append((0.5 * (high - low)) ** 2)
         rises = [
             (means[a] - means[b]) ** 2

@@ -44,73 +44,102 @@ COLUMNS = {name: np.array([row[name] for row in ROWS]) for name in ROWS[0]}
 
 
 _GAP, _RADIUS = COLUMNS["gap_mm"], COLUMNS["aperture_radius_mm"]
-_HEIGHT = COLUMNS["crystal_height_mm"]
-_FILLED = (COLUMNS["n_gap"] > 1.0005).astype(float)
+_N_GAP, _H = COLUMNS["n_gap"], COLUMNS["crystal_height_mm"] / 10.0
+_FILLED = (_N_GAP > 1.0005).astype(float)
+_SMALL, _LOW = (_RADIUS < 8.0).astype(float), (_H < 0.9).astype(float)
 # a nonlinear readout knows nothing of them
 _NO_ROWS = Rows(np.zeros(0), np.zeros(0, dtype=bool))
 
 
 EFFECTS = {n: e for n, e in catalogue().items() if not (e.of_beam or e.lacks)}
 SCENE = {"n_crystal": 2.01}
-
-
-def _log_eta(v: Mapping[str, np.ndarray], on: frozenset[str]) -> np.ndarray:
-    """(points, readings) log(eta); `v` holds (points, 1) values of all parameters, complex too."""
-    gap, radius, height = _GAP, _RADIUS, _HEIGHT
-    filled = _FILLED
-    n_gap = COLUMNS["n_gap"] + v["gap_index_offset"] * filled
-    n = v["n_crystal"]
-    h = height / 10.0
-    a = v["alpha_scat_per_cm"] * (1.0 - v["scattering_g"]) ** 0.9
-    a = a * (1.0 + 0.3 * v["scattering_gradient"] * (1.0 - h) * np.sign(0.5 - filled))
-    if "rayleigh_scattering" in on:
-        a = a * (1.0 + 0.02 * filled)
-    k = v["alpha_abs_per_cm"] + 0.9 * v["surface_loss"] * (1.0 + 2.0 / h) * (0.8 + 0.2 * filled)
-    # light through the bottom, direct and turned into its cone by scattering
-    window = np.where(np.real(n_gap) < 1.52, n_gap, 1.52)
-    cone = 0.5 * (1.0 - np.sqrt(1.0 - (window / n) ** 2))
-    four_sides = 0.5 * (1.0 - np.sqrt(1.0 - 1.0 / n**2))
-    turned = a * h / (a * h + 0.12 + 2.2 * k * (0.4 + h))
-    caught = np.exp(-k * h * 3.0 * (1.0 - 0.5 * filled))
-    rough = v["roughness_alpha"]
-    turned = turned + (1.0 - turned) * (1.0 - np.exp(-3.0 * rough)) * 0.5
-    trapped = 1.0 - 2.0 * cone - 4.0 * four_sides
-    bottom = cone + trapped * turned * cone / (cone + 5.0 * four_sides * (1.0 + v["chamfer_mm"]))
-    up = four_sides * v["top_reflectance"] * (0.4 + 0.6 * h)
-    gap_here = gap + v["gap_offset_mm"]
-    side = 4.0 * four_sides * (0.25 + 0.3 * turned) * 0.35
-    seen = 1.0 - np.exp(-((radius / 6.0) ** 2) / h) * (1.0 + 0.5 * gap_here)
-    if "aperture_at_detector" in on:
-        seen = seen * (1.0 - 0.15 * (radius < 13.0) * (1.0 + filled))
-    inner = 1.0 - np.exp(-((radius / 4.0) ** 2)) * (1.0 + 0.2 * gap_here * filled)
-    eta = (bottom + up) * inner * caught + side * seen * np.exp(-2.0 * k)
-    bubble = v["bubble_fraction"] * filled
-    in_air = 0.5 * (1.0 - np.sqrt(1.0 - 1.0 / n**2)) * (1.0 + 2.5 * turned)
-    eta = (1.0 - bubble) * eta + bubble * in_air * caught
-    log = np.log(eta)
-    log = log + v["scattering_g"] * (0.05 * filled * h - 0.03 * (radius < 8)) * (0.5 + turned)
-    log = log + rough * (0.3 * filled - 0.25 * (h < 0.9)) + 0.04 * v["chamfer_mm"] * filled / h
-    # uniform emission is depth -> infinity: the share born near the top
-    near_top = 1.0 / (1.0 + v["source_depth_mm"] / 3.0)
-    log = log + near_top * (-0.25 * h + 0.12 * filled * h + 0.05 * np.log1p(a) * (1.0 - h))
-    log = log - v["gap_absorption_per_cm"] * gap_here / 10.0 * filled * (1.6 + 0.5 * cone)
-    log = log + v["detector_reflectance"] * (-1.0 + 0.35 * filled + 0.25 * turned * h)
-    log = log - v["angular_falloff"] * (0.12 + 0.25 * filled * (n_gap - 1.0) + 0.1 * (radius > 5))
-    spread = 0.06 + 0.2 * (1.0 - np.exp(-((radius / 9.0) ** 2))) * (1.0 - 0.6 * filled)
-    log = log - v["radial_falloff"] * spread * (0.6 + 0.4 * h)
-    if "polarization" in on:
-        log = log + 0.004 * (1.0 - 2.0 * filled) + 0.003 * (radius < 8)
-    return log
-
-
 _PLAIN = {p.name: p.absent or 0.0 for e in EFFECTS.values() for p in e.parameters}
 _PLAIN |= SCENE
+
+
+def _cones(n_gap: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Parts of isotropic light in the bottom's cone, and in that of a face in air."""
+    window = np.where(np.real(n_gap) < 1.52, n_gap, 1.52)
+    return tuple(0.5 * (1.0 - np.sqrt(1.0 - (x / n) ** 2)) for x in (window, 1.0))
+
+
+_CONES = _cones(_N_GAP, SCENE["n_crystal"])
+
+
+def _log_eta(given: Mapping[str, np.ndarray], on: frozenset[str]) -> np.ndarray:
+    """(points, readings) log(eta); `given` holds (points, 1) values of parameters, complex too.
+
+    What is not given changes nothing, and is not worked out: diagnoses ask ten thousand times.
+    """
+    v, n_gap, gap = _PLAIN | given, _N_GAP, _GAP
+    a, k = v["alpha_scat_per_cm"], v["alpha_abs_per_cm"]
+    if "scattering_g" in given:
+        a = a * (1.0 - v["scattering_g"]) ** 0.9
+    if "scattering_gradient" in given:
+        a = a * (1.0 + v["scattering_gradient"] * (0.3 * (1.0 - _H) * np.sign(0.5 - _FILLED)))
+    if "rayleigh_scattering" in on:
+        a = a * (1.0 + 0.02 * _FILLED)
+    if "surface_loss" in given:
+        k = k + v["surface_loss"] * (0.9 * (1.0 + 2.0 / _H) * (0.8 + 0.2 * _FILLED))
+    if "gap_index_offset" in given:
+        n_gap = _N_GAP + v["gap_index_offset"] * _FILLED
+    if "gap_offset_mm" in given:
+        gap = _GAP + v["gap_offset_mm"]
+    # light through the bottom, direct and turned into its cone by scattering
+    cone, four_sides = _CONES
+    if not given.keys().isdisjoint(("n_crystal", "gap_index_offset")):
+        cone, four_sides = _cones(n_gap, v["n_crystal"])
+    turned = a * _H
+    turned = turned / (turned + k * (2.2 * (0.4 + _H)) + 0.12)
+    caught = np.exp(k * (_H * (1.5 * _FILLED - 3.0)))
+    if "roughness_alpha" in given:
+        turned = turned + (1.0 - turned) * (1.0 - np.exp(-3.0 * v["roughness_alpha"])) * 0.5
+    trapped = 1.0 - 2.0 * cone - 4.0 * four_sides
+    into_cone = trapped * cone / (cone + 5.0 * four_sides * (1.0 + v["chamfer_mm"]))
+    bottom = cone + into_cone * turned
+    if "top_reflectance" in given:
+        bottom = bottom + four_sides * v["top_reflectance"] * (0.4 + 0.6 * _H)
+    side = (0.35 + 0.42 * turned) * four_sides
+    seen = 1.0 - np.exp(-((_RADIUS / 6.0) ** 2) / _H) * (1.0 + 0.5 * gap)
+    if "aperture_at_detector" in on:
+        seen = seen * (1.0 - 0.15 * (_RADIUS < 13.0) * (1.0 + _FILLED))
+    inner = 1.0 - np.exp(-((_RADIUS / 4.0) ** 2)) * (1.0 + 0.2 * gap * _FILLED)
+    eta = bottom * inner * caught + side * seen * np.exp(-2.0 * k)
+    if "bubble_fraction" in given:
+        bubble = v["bubble_fraction"] * _FILLED
+        eta = (1.0 - bubble) * eta + bubble * four_sides * (1.0 + 2.5 * turned) * caught
+    log = np.log(eta)
+    if "scattering_g" in given:
+        log = log + v["scattering_g"] * (0.05 * _FILLED * _H - 0.03 * _SMALL) * (0.5 + turned)
+    if "roughness_alpha" in given:
+        log = log + v["roughness_alpha"] * (0.3 * _FILLED - 0.25 * _LOW)
+    if "chamfer_mm" in given:
+        log = log + 0.04 * v["chamfer_mm"] * _FILLED / _H
+    if "source_depth_mm" in given:
+        # uniform emission is depth -> infinity: the share born near the top
+        near_top = 1.0 / (1.0 + v["source_depth_mm"] / 3.0)
+        depth = -0.25 * _H + 0.12 * _FILLED * _H + 0.05 * np.log1p(a) * (1.0 - _H)
+        log = log + near_top * depth
+    if "gap_absorption_per_cm" in given:
+        way = gap / 10.0 * _FILLED * (1.6 + 0.5 * cone)
+        log = log - v["gap_absorption_per_cm"] * way
+    if "detector_reflectance" in given:
+        log = log + v["detector_reflectance"] * (0.35 * _FILLED - 1.0 + 0.25 * turned * _H)
+    if "angular_falloff" in given:
+        steep = 0.12 + 0.25 * _FILLED * (n_gap - 1.0) + 0.1 * (_RADIUS > 5)
+        log = log - v["angular_falloff"] * steep
+    if "radial_falloff" in given:
+        spread = 0.06 + 0.2 * (1.0 - np.exp(-((_RADIUS / 9.0) ** 2))) * (1.0 - 0.6 * _FILLED)
+        log = log - v["radial_falloff"] * spread * (0.6 + 0.4 * _H)
+    if "polarization" in on:
+        log = log + 0.004 * (1.0 - 2.0 * _FILLED) + 0.003 * _SMALL
+    return log
 
 
 def signals(values: Mapping[str, float], effects: tuple[str, ...] = ()) -> np.ndarray:
     """(readings,) without any error; `values` by name, absent ones left out."""
     v = {**_PLAIN, **values}
-    true = values["scale"] * np.exp(_log_eta(v, frozenset(effects)).real)
+    true = values["scale"] * np.exp(_log_eta(values, frozenset(effects)).real)
     return true / (1.0 + v["nonlinearity"] * true) + v["background"]
 
 
@@ -160,7 +189,7 @@ class Model:
         self._at = np.array([r.line - 2 for r in self.readings])
         self._error = self.noise.mean(axis=0)[self._at]
         self._error_sigma = self.noise.std(axis=0, ddof=1)[self._at] / np.sqrt(BATCHES)
-        self._names = [p.name for p in free]
+        self._names, self._on = [p.name for p in free], frozenset(self.effects)
         known = self.light_yield
         self.campaign = SimpleNamespace(
             path=None,
@@ -186,17 +215,18 @@ class Model:
         k = len(self.free)
         step = 1e-20
         points = np.asarray(theta, float) + 1j * step * np.vstack([np.zeros(k), np.eye(k)])
-        v = _PLAIN | {name: points[:, [i]] for i, name in enumerate(self._names)}
-        scale = v.pop("scale")
-        log = _log_eta(v, frozenset(self.effects))[:, self._at] + self._error
-        true = scale * np.exp(log)
+        given = {name: points[:, [i]] for i, name in enumerate(self._names)}
+        scale, v = given["scale"], _PLAIN | given
+        log = _log_eta(given, self._on)[:, self._at] + self._error
+        all_eta = np.exp(log)
+        true = scale * all_eta
         read, by_signal, _ = reading_nonlinearity(true, v["nonlinearity"], _NO_ROWS)
         signal = read + v["background"]
-        eta = np.exp(log[0].real)
+        eta = all_eta[0].real
         return Prediction(
             scale=float(theta[-1]),
             eta=eta,
-            eta_slopes=(np.exp(log).imag[1:] / step).T,
+            eta_slopes=(all_eta.imag[1:] / step).T,
             eta_errors=np.diag(self._error_sigma * eta) if covariance else None,
             eta_sigma=self._error_sigma * eta,
             interpolation_error=np.zeros(len(eta)),
@@ -206,10 +236,9 @@ class Model:
         )
 
     def predict_many(self, thetas) -> np.ndarray:
-        v = _PLAIN | {name: thetas[:, [i]] for i, name in enumerate(self._names)}
-        true = v.pop("scale") * np.exp(
-            _log_eta(v, frozenset(self.effects))[:, self._at] + self._error
-        )
+        given = {name: thetas[:, [i]] for i, name in enumerate(self._names)}
+        v = _PLAIN | given
+        true = v["scale"] * np.exp(_log_eta(given, self._on)[:, self._at] + self._error)
         return reading_nonlinearity(true, v["nonlinearity"], _NO_ROWS)[0] + v["background"]
 
     def eta_batches(self, theta) -> np.ndarray:

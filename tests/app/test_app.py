@@ -26,12 +26,6 @@ def mcrim(path, *arguments) -> dict:
     return json.loads(path.read_text())
 
 
-def value_and_error(text: str) -> tuple[float, float]:
-    """Of a number such as 0.2514 ± 0.0012."""
-    value, _, error = text.partition(" ± ")
-    return float(value), float(error)
-
-
 def width_of_page(browser) -> int:
     return browser.run("return document.documentElement.scrollWidth")
 
@@ -94,7 +88,7 @@ def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, scen
         for reading in readings[::3]:
             given = [f"-D{name}={reading[name]}" for name in COLUMNS]
             found = mcrim(tmp_path / "eta.json", "simulate", scene, *given, "--photons=5e5")
-            shown, error = value_and_error(rows[reading["label"]][-1])
+            shown, error = map(float, rows[reading["label"]][-1].split(" ± "))
             z.append((found["eta"] - shown) / (found["eta_sigma"] ** 2 + error**2) ** 0.5)
         assert len(z) == 6 and max(map(abs, z)) < 3.5, z
 

@@ -32,10 +32,12 @@ def test_a_reading_tells_its_treatment_and_line():
 
 def test_jobs_wait_and_stop(browser, campaign, scenes):
     # with so many photons that the bench is not simulated before the page is there, when nothing
-    # would be left to be stopped: some seconds of all processors; in five mountings
+    # would be left to be stopped: some seconds of all processors; in five mountings, of one number
     lines = (scenes / "camoo4_misfit.csv").read_text().splitlines()
     rows = [lines[i] for i in (2, 3, 5, 7, 9, 15)]
     (campaign.parent / "few.csv").write_text("\n".join(rows) + "\n")
+    with campaign.open("a") as file:
+        file.write("[tolerances]\nnone = true\nn_crystal = 0.01\n")
     with running(campaign, "off", browser, MANY_PHOTONS, settled=False) as app:
         status = lambda: browser.text("#status")  # noqa: E731
         browser.wait_for(lambda: status().startswith("simulating the bench"), "simulation")

@@ -1,13 +1,16 @@
 """Every verb on every campaign: no traceback, one chi2, one light yield."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from places import ROOT, SCENES
 
+from mcrim_mitsuba.campaign import campaign as campaigns
 from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.measurements import read_table
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.responses import Point
@@ -41,6 +44,18 @@ def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
 
 
+@pytest.fixture(autouse=True)
+def every_third_row(monkeypatch):
+    """Of tables with more than six: verbs do with few rows what they do with many."""
+
+    def thinned(*words):
+        table = read_table(*words)
+        few = len(table.readings) <= 6
+        return table if few else replace(table, readings=table.readings[::3])
+
+    monkeypatch.setattr(campaigns, "read_table", thinned)
+
+
 @pytest.mark.parametrize("name", CAMPAIGNS)
 def test_every_verb_tells_the_same_of_a_campaign(mcrim, here, monkeypatch, cache, name):
     """A parameter at its bound was a traceback in `calibrate`; chi2 was 45.7 here, 110.2 there."""
@@ -55,10 +70,12 @@ def test_every_verb_tells_the_same_of_a_campaign(mcrim, here, monkeypatch, cache
         fits[verb] = fit
     first = fits["calibrate"]
     for verb, fit in fits.items():
-        assert (fit["chi2"], fit["ndf"]) == (first["chi2"], first["ndf"]), verb
-        for parameter, estimate in first["parameters"].items():
-            same = {key: fit["parameters"][parameter][key] for key in ("value", "sigma", "lower")}
-            assert same == {key: estimate[key] for key in same}, (verb, parameter)
+        for name in ("chi2", "ndf", "fixed", "covariance", "tolerances", "converged"):
+            assert fit[name] == first[name], (verb, name)
+        pairs = [(first["parameters"][n], fit["parameters"][n]) for n in first["parameters"]]
+        for known, same in (*pairs, *zip(first["rows"], fit["rows"], strict=True)):
+            both = known.keys() & same.keys()  # some verbs have more, or no wide interval
+            assert len(both) > 4 and [known[n] for n in both] == [same[n] for n in both], verb
     # a plan may be refused: a campaign may have no light yield to plan for, or several samples
     monkeypatch.setattr(planning, "_rehearsed", lambda plans, *_: plans)  # that is a diagnosis
     try:

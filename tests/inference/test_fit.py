@@ -17,12 +17,7 @@ from formula_surfaces import FormulaSurface, air, couplings, gel, of_index
 from places import cases_of
 from refusals import refusal
 from scipy import optimize, stats
-from trials.surface_model import (
-    CampaignModel,
-    InterpolatedSurface,
-    RecordSurface,
-    axes_for,
-)
+from trials.surface_model import CampaignModel, InterpolatedSurface, RecordSurface, axes_for
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.descent import minimise

@@ -17,11 +17,7 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.next_measurements import _offers, next_measurements
-from mcrim_mitsuba.inference.simulations import (
-    CampaignSimulations,
-    MeasurementProposals,
-    buildable,
-)
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, MeasurementProposals, buildable
 from mcrim_mitsuba.inference.weighing import Hypothesis, weigh_hypotheses
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
@@ -193,9 +189,10 @@ def test_a_reading_that_is_made_once_more_comes_last(scenes):
     ("first", "then", "state", "bare"), [(1, 0, "wrapped", "none"), (0, 1, "bare", "top sides")]
 )
 def test_a_proposal_says_which_crystal_and_how_it_is_wrapped(
-    scenes, tmp_path, first, then, state, bare
+    scenes, tmp_path, monkeypatch, first, then, state, bare
 ):
     """Of two crystals, wrapped and bare, a mask was proposed without a word for which."""
+    monkeypatch.setattr(CampaignSimulations, "_repeated", lambda self: None)  # nothing is simulated
     rows = [f"{h} {on},100,1,1.0,{h},{on}" for h in (20, 10) for on in (first, then)]
     (tmp_path / "rows.csv").write_text(
         "label,signal,sigma,n_gap,crystal_height_mm,wrapping\n" + "\n".join(rows)

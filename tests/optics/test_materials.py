@@ -16,13 +16,7 @@ from mcrim_mitsuba.inference.repair import mended_scene, scene_text, text_for_fo
 from mcrim_mitsuba.optics.dispersion import Dispersion, NumberedFormula
 from mcrim_mitsuba.optics.emission_band import index_over
 from mcrim_mitsuba.optics.gammas import attenuation_length_mm
-from mcrim_mitsuba.optics.materials import (
-    NAMES,
-    catalogue,
-    chemical_formula,
-    density_of,
-    material,
-)
+from mcrim_mitsuba.optics.materials import NAMES, catalogue, chemical_formula, density_of, material
 from mcrim_mitsuba.optics.spectrum import Spectrum
 from mcrim_mitsuba.scene.scene_file import read_scene
 

@@ -15,11 +15,7 @@ from refusals import refusal
 
 import mcrim_mitsuba as mcrim_api
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.output.cross_section import (
-    COLOURS,
-    cross_section_figure,
-    write_cross_section,
-)
+from mcrim_mitsuba.output.cross_section import COLOURS, cross_section_figure, write_cross_section
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.check import interfaces_of
 from mcrim_mitsuba.transport.cut import cross_section, masked

@@ -158,11 +158,7 @@ def test_a_full_temporary_folder_is_named(scenes, disk, monkeypatch):
 def test_standard_output_on_a_full_disk(further):
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [
-                sys.executable,
-                *"-m mcrim_mitsuba lab index CaMoO4 --nm 540".split(),
-                *further,
-            ],
+            [sys.executable, *"-m mcrim_mitsuba lab index CaMoO4 --nm 540".split(), *further],
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,

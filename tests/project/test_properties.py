@@ -92,10 +92,7 @@ def test_a_measurement_file_is_read_as_it_was_written(campaign, folder, rows):
         )
         for line, (label, signal, sigma, use, n) in enumerate(rows)
     )
-    readings = (
-        *readings,
-        Reading("in use, surely", 1.0, 0.1, {"n_gap": 1.5}),
-    )
+    readings = (*readings, Reading("in use, surely", 1.0, 0.1, {"n_gap": 1.5}))
     written = Measurements(folder / "old.csv", (), ("n_gap",), readings)
     raw = RawData({}, None, None, None, material=None, numbers={}, files=())
     before = dataclasses.replace(campaign, measurements=written, raw=raw)

@@ -219,9 +219,16 @@ def test_results_are_sent_between_processes():
 
 
 @cases("verb", "given")
-def test_every_result_is_what_it_was_after_pickling(verb, given):
-    of_campaign = verb in ("calibrate", "compare", "diagnose", "repair", "budget", "plan")
-    source = SCENES / "camoo4_campaign.toml" if of_campaign else BENCH
+def test_every_result_is_what_it_was_after_pickling(verb, given, shared_cache, monkeypatch):
+    monkeypatch.setenv("MCRIM_CACHE", str(shared_cache))  # one bench for all verbs
+    source = BENCH
+    if verb in ("calibrate", "compare", "diagnose", "repair", "budget", "plan"):
+        source = mcrim.read_campaign(SCENES / "camoo4_campaign.toml")
+        few = (
+            "gap_bubble",
+            "background",
+        )  # a budget asked for polarization, and ended in a KeyError
+        source = dataclasses.replace(source, catalogue={n: source.catalogue[n] for n in few})
     run = mcrim.Run(photons=20_000, threads=1, progress=lambda *_: None)
     found = getattr(mcrim, verb)(source, run=run, **given)
     sent = pickle.loads(pickle.dumps(found))

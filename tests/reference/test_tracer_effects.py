@@ -362,10 +362,7 @@ def test_crystals_absorb_from_a_room_what_the_room_absorbs_from_them(effect):
         assert result.counts["lost"] == 0
     leg = effect.get("chamfer_mm", 0.0)
     volume = 1000 - 60 * leg**2 + 6 * leg**3
-    factors = {
-        "crystal": 2.01**2 * volume / in_room,
-        "room": (side**3 - volume) / in_crystal,
-    }
+    factors = {"crystal": 2.01**2 * volume / in_room, "room": (side**3 - volume) / in_crystal}
     (a, sigma_a), (b, sigma_b) = (factors[n] * np.array(shares[n]) for n in factors)
     assert_compatible(a, sigma_a, b, sigma_b)
 

@@ -194,9 +194,9 @@ def test_effects_count_by_what_they_are_now_and_import(tmp_path):
         assert modules_of([effect]) & places
 
 
-def test_another_copy_of_the_package_mixes_into_nothing(scenes, tmp_path):
+def test_another_copy_of_the_package_mixes_into_nothing(scenes, here, mcrim):
     """A rule of the scenes that plugins follow: from which index on a gap is filled."""
-    copy = tmp_path / "copy" / PACKAGE.name
+    copy = here / "copy" / PACKAGE.name
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
     rule = copy / "scene" / "check_text.py"
     text = rule.read_text()
@@ -204,30 +204,27 @@ def test_another_copy_of_the_package_mixes_into_nothing(scenes, tmp_path):
     assert rule.read_text() != text
     line = "table gap.xml --alpha-scat 0.5 --alpha-abs 0.039 --n-gap 1.46 --photons 6e4 -o T.csv"
 
-    def run(package: Path, *arguments: str, cached: bool = True) -> subprocess.CompletedProcess:
-        place = {"PYTHONPATH": str(package), "MCRIM_CACHE": "cache" if cached else "off"}
-        return subprocess.run(
-            [sys.executable, "-m", PACKAGE.name, *arguments],
-            cwd=tmp_path,
+    def table(package: Path, *arguments: str, cache: str = "cache") -> None:
+        done = subprocess.run(
+            [sys.executable, "-m", PACKAGE.name, *line.split(), *arguments],
             text=True,
             capture_output=True,
-            env=os.environ | place,
+            env=os.environ | {"PYTHONPATH": str(package), "MCRIM_CACHE": cache},
         )
-
-    def table(package: Path, *arguments: str, **how: bool) -> str:
-        done = run(package, *line.split(), *arguments, **how)
         assert done.returncode == 0, done.stderr
-        return (tmp_path / "T.csv").read_text() if "--unit" not in arguments else ""
 
-    scene = str(scenes / "camoo4.xml")
     size = "gap_absorption_per_cm=10"
-    run(
-        PACKAGE.parent, "add", "gap_absorption", scene, "-o", "gap.xml", "-D", size
-    ).check_returncode()
-    other = table(copy.parent)
-    assert table(PACKAGE.parent) == table(PACKAGE.parent, cached=False) != other
+    mcrim.shown("add", "gap_absorption", scenes / "camoo4.xml", "-o", "gap.xml", "-D", size)
+    tables = []
+    for made in (
+        lambda: table(copy.parent),
+        lambda: table(PACKAGE.parent),
+        lambda: mcrim.shown(*line.split()),  # without a cache
+    ):
+        made()
+        tables.append(Path("T.csv").read_text())
+    other, cached, ours = tables
+    assert cached == ours != other
     # nor what a part of an array job made
-    table(copy.parent, "--unit", "1/1", "--units", "units", cached=False)
-    merged = run(PACKAGE.parent, "merge", "units")
-    assert merged.returncode == 2
-    assert "the parts were made with source hash" in merged.stderr
+    table(copy.parent, "--unit", "1/1", "--units", "units", cache="off")
+    assert "the parts were made with source hash" in mcrim.refused("merge", "units")

@@ -17,7 +17,7 @@ from mcrim_mitsuba.inference.settings import USUAL
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 
-SEED, TRACED, SIMULATED = 1, 8_000, 131_072
+SEED, TRACED, SIMULATED = 1, 8_000, 65_536
 #: What the package knows: all of the catalogue is tried by `scripts/trials`, this is quicker.
 KNOWN = {
     "surface_absorption",

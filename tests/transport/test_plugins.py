@@ -10,24 +10,10 @@ from scipy.stats import chisquare, kstest
 
 from mcrim_mitsuba.output.photograph import render
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport.bulk import (
-    BirthLattice,
-    PhotonSeeds,
-    lane_generators,
-    lane_numbers,
-)
+from mcrim_mitsuba.transport.bulk import BirthLattice, PhotonSeeds, lane_generators, lane_numbers
 from mcrim_mitsuba.transport.collection import Recorder, follow_trails
-from mcrim_mitsuba.transport.conversion import (
-    parameters_of,
-    read_scene_model,
-    write_parameters,
-)
-from mcrim_mitsuba.transport.launch_plan import (
-    LANES,
-    SHARE_STEPS,
-    ScatteringProposals,
-    plan_lanes,
-)
+from mcrim_mitsuba.transport.conversion import parameters_of, read_scene_model, write_parameters
+from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals, plan_lanes
 from mcrim_mitsuba.transport.simulation import Simulation, load_scene
 from mcrim_mitsuba.transport.variants import use_variant
 
