@@ -455,7 +455,7 @@ def test_a_mended_campaign_says_the_same_by_every_command(campaign, tmp_path, mo
         assert abs(known.value - other.value) < 0.5 * known.sigma, name
     # what was added is one of what may be missing: no verb forgets it
     averaged = mended.diagnosis.light_yield_averaged
-    assert "was added by repair" in again.notes[0] and str(averaged) in again.notes[0]
+    assert "was added by repair" in again.notes[0] and str(averaged) in again.notes[1]
     scene = read_campaign(tmp_path / "new.toml").scene
     for row, (n, radius, height) in zip(mended.fit.rows, configurations, strict=True):
         own = {"n_gap": n, "aperture_radius_mm": radius, "crystal_height_mm": height}
