@@ -10,6 +10,7 @@ import click
 from mcrim_mitsuba import __version__
 from mcrim_mitsuba.cli.terminal import run
 from mcrim_mitsuba.core.errors import InputError, closest
+from mcrim_mitsuba.core.run import seldom_garbage
 
 #: Verbs by the module of this folder that has them.
 _VERBS = {
@@ -62,4 +63,5 @@ def mcrim(ctx) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit status: 0 done, 2 wrong input, 1 our fault."""
+    seldom_garbage()
     return run(mcrim, "mcrim", arguments)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import gc
 import itertools
 import os
 import signal
@@ -116,6 +117,11 @@ class JobProgress:
         if seconds < 1 or self.done < self._FIRST_OF_ALL:
             return ""
         return f"{seconds:.0f} s left" if seconds < 100 else f"{seconds / 60:.0f} min left"
+
+
+def seldom_garbage() -> None:
+    """Let Python look seldom for garbage, in a process of ours: it took a thirtieth of the time."""
+    gc.set_threshold(50_000, 20, 20)
 
 
 @dataclass(frozen=True)

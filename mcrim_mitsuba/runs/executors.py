@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import sha256
-from mcrim_mitsuba.core.run import OWN_MODULES, Progress, processors
+from mcrim_mitsuba.core.run import OWN_MODULES, Progress, processors, seldom_garbage
 from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.cache_files import Chunk
 
@@ -413,6 +413,7 @@ def _begin(parent: int) -> None:
     import loky
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    seldom_garbage()
     # else loky starts a process anew when one has grown
     loky.process_executor._USE_PSUTIL = False
     # and collects garbage every second, which takes 40 ms of what Mitsuba's modules hold
