@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scipy.special import ndtr
-
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
@@ -112,7 +110,7 @@ def crosscheck(
         raise InputError(problem, "give more --photons")
     return Crosscheck(
         rows=rows,
-        family_p_value=min(1.0, len(scores) * 2.0 * float(ndtr(-max(scores)))),
+        family_p_value=min(1.0, len(scores) * math.erfc(max(scores) / math.sqrt(2.0))),
         mitsuba_photons=ours.photons,
         numpy_photons=reference.photons,
     )

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.transport.launch_plan import FateTally
@@ -122,6 +121,8 @@ def outline_of(model: SceneModel, volume: int, plane: DetectorPlane) -> np.ndarr
             faces.append(face.corners)
         else:
             faces.append(circle.points(float(face.corner[circle.axis])))
+    from scipy.spatial import ConvexHull  # slow, and most scenes need none
+
     points = plane.coordinates(np.concatenate(faces))
     hull = ConvexHull(points).vertices
     return points[np.append(hull, hull[0])]

@@ -16,7 +16,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from mcrim_mitsuba.transport.conversion import opaque
 from mcrim_mitsuba.transport.scene_model import OUTSIDE, Circle, Kept, RoundWall, SceneModel
@@ -206,12 +205,25 @@ def _planes(
         beyond = (corners @ plane.axis - plane.offset) * (1.0 if plane.high else -1.0)
         if beyond.max() > slack:
             return None
-    try:
-        hull = ConvexHull(corners)
-    except QhullError:
-        return None
+    whole = _hull_area(corners, planes)
     # Faces on the hull that cover all of it: less than a strip along the edges may be missing.
-    return planes if abs(area - hull.area) <= 4.0 * slack * np.sqrt(hull.area) else None
+    return planes if abs(area - whole) <= 4.0 * slack * np.sqrt(whole) else None
+
+
+def _hull_area(corners: np.ndarray, planes: list[Plane]) -> float:
+    """Area of the convex hull of corners that lie within planes; 0 where they are flat.
+
+    Of six planes along the axes that of the box: if faces cover less, the hull is no matter.
+    """
+    if len(planes) == 6 and {plane.axis for plane in planes} == set(map(tuple, np.eye(3).tolist())):
+        length, width, height = np.ptp(corners, axis=0).tolist()
+        return 2.0 * (length * width + (length + width) * height)
+    from scipy.spatial import ConvexHull, QhullError  # a third of a second, for few scenes
+
+    try:
+        return float(ConvexHull(corners).area)
+    except QhullError:
+        return 0.0
 
 
 def _are_ends(model: SceneModel, planes: list[Plane], wall: RoundWall) -> bool:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.transport import dielectric
 from mcrim_mitsuba.transport.conversion import opaque
@@ -164,6 +163,8 @@ def _enclosed_by(model: SceneModel, walls: list[int]) -> Solid | None:
     corners = np.concatenate([faces[number].corners for number in walls])
     if np.linalg.matrix_rank(corners - corners[0], tol=slack) < 3:
         return None
+    from scipy.spatial import ConvexHull  # slow, and most scenes need none
+
     hull = ConvexHull(corners)
     sides: dict[tuple[float, ...], float] = {}
     for simplex, equation in zip(hull.simplices, np.round(hull.equations, 6) + 0.0, strict=True):

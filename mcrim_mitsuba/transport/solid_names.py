@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.transport.convex import Solid, convex_solids
 from mcrim_mitsuba.transport.scene_model import SceneModel
@@ -64,6 +63,9 @@ def _prism(model: SceneModel, solid: Solid) -> str | None:
     if foot is None or len(leaning) % 2:
         return None
     size, sides = np.ptp(every, axis=0).max(), len(leaning)
+    upright = not any(leans for leans, _ in leaning)
+    if upright and sides == 4:
+        return None
     top = ends.get(True)
     if top is None:
         tip = every[every[:, 2] >= every[:, 2].max() - _ALIKE * size]
@@ -71,8 +73,7 @@ def _prism(model: SceneModel, solid: Solid) -> str | None:
             return None
         top = tip
     across = [_across_flats(corners, sides, size) for corners in (foot, top)]
-    upright = not any(leans for leans, _ in leaning)
-    if across[0] is None or across[1] is None or (upright and sides == 4):
+    if across[0] is None or across[1] is None:
         return None
     kind, height = _BY_SIDES.get(sides, f"{sides}-sided"), f"{np.ptp(every[:, 2]):.4g} mm high"
     flats = "wide" if sides == 4 else "across flats"
@@ -91,6 +92,8 @@ def _across_flats(corners: np.ndarray, sides: int, size: float) -> float | None:
     points = corners[:, :2]
     if np.ptp(points, axis=0).max() <= _ALIKE * size:
         return 0.0
+    from scipy.spatial import ConvexHull  # slow, and most scenes need none
+
     around = points[ConvexHull(points).vertices]
     away = np.linalg.norm(around - (around.min(axis=0) + around.max(axis=0)) / 2, axis=1)
     edges = np.linalg.norm(around - np.roll(around, 1, axis=0), axis=1)
