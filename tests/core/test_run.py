@@ -1,5 +1,6 @@
 """How simulations are done, and what a result says of it."""
 
+import gc
 import os
 import pickle
 import signal
@@ -18,6 +19,7 @@ from mcrim_mitsuba.core.run import (
     arguments_of,
     one_thread,
     processors,
+    seldom_garbage,
     signals_wait,
 )
 
@@ -123,3 +125,13 @@ def test_processors_are_those_that_are_granted(monkeypatch):
     for stated, number in {"2": 2, "default": 3, "0": 3}.items():
         monkeypatch.setenv("PYTHON_CPU_COUNT", stated)
         assert processors() == number
+
+
+def test_processes_of_ours_look_seldom_for_garbage():
+    usual = gc.get_threshold()
+    try:
+        gc.set_threshold(700, 10, 10)  # Python's own
+        seldom_garbage()
+        assert gc.get_threshold()[0] >= 10_000
+    finally:
+        gc.set_threshold(*usual)
