@@ -544,7 +544,7 @@ class ResponseMaker:
 
     def _weighs(self, effect: Effect) -> bool:
         """Whether an effect is predicted by weighting photon records."""
-        if effect.weighs_in is not None and not effect.weighs_in(self.campaign.scene):
+        if not _weighs_in(self.campaign.scene, effect):
             return False
         # a mask cannot be taken off records that were made with it
         return (effect.weight or effect.colours) is not None and (
@@ -600,13 +600,11 @@ class ResponseMaker:
         """Fine and coarse tables of a transmittance where its closed form holds."""
         assert run.radius_mm is not None  # of every beam
         scene = run.base.with_overrides(run.overrides)
-        share = scattered_share(scene, run.radius_mm)
-        if share is None or share > _CLOSED_FORM_SHARE:
+        slab = polished_slab(scene)
+        if slab is None or scattered_share(slab[0], run.radius_mm) > _CLOSED_FORM_SHARE:
             self._ways[label] = "the beam is simulated"
             return None
         self._ways[label] = "the closed form, the crystal being polished as it is"
-        slab = polished_slab(scene)
-        assert slab is not None  # there is a share
         n, length = slab
 
         def table(grid: Grid) -> EtaGrid:
@@ -673,6 +671,12 @@ def _with_effect(scene: SceneFile, effect: Effect) -> SceneFile:
     if effect.is_in(scene) or (names and all(name in scene.parameters for name in names)):
         return scene
     return scene.edited(add(effect, scene))
+
+
+@functools.lru_cache(maxsize=128)
+def _weighs_in(scene: SceneFile, effect: Effect) -> bool:
+    """Whether a weight holds in a scene; every node of every reading asks."""
+    return effect.weighs_in is None or effect.weighs_in(scene)
 
 
 @functools.lru_cache(maxsize=64)

@@ -158,12 +158,10 @@ def polished_slab(scene: SceneFile) -> tuple[float, float] | None:
     return n, float(np.ptp(matrices[normals.argmax(axis=1) == axis, axis, 3]))
 
 
-def scattered_share(scene: SceneFile, acceptance_deg: float) -> float | None:
-    """Part of once scattered light that a detector behind a polished crystal takes.
+def scattered_share(n: float, acceptance_deg: float) -> float:
+    """Part of once scattered light that a detector behind a `polished_slab` of index n takes.
 
     By it the closed form of the transmittance, in which all scattered light is lost, is too low,
-    for each mean free path in the crystal. None where that form does not hold (`polished_slab`).
+    for each mean free path in the crystal.
     """
-    if (slab := polished_slab(scene)) is None:
-        return None
-    return 0.5 * (1.0 - math.sqrt(1.0 - (math.sin(math.radians(acceptance_deg)) / slab[0]) ** 2))
+    return 0.5 * (1.0 - math.sqrt(1.0 - (math.sin(math.radians(acceptance_deg)) / n) ** 2))
