@@ -140,7 +140,16 @@ def _names(
     rows = [table_text.names_of(_bare(line.text), separator, columns) for line in above]
     if not above or rows[0] is None:
         if above and above[0].kind == TEXT:
-            _refuse_other_columns(above[0], separator, columns, path)
+            cells = table_text.without_empty_end(table_text.split(above[0].text, separator))
+            if any(table_text.name_and_unit(cell)[1] is not None for cell in cells):
+                raise InputError(
+                    f"{counted(len(cells), 'name')} above {counted(columns, 'column')}",
+                    "give every column one name, "
+                    + ("without blanks" if separator == BLANKS else "separated as the numbers are")
+                    + ", or begin the line with #",
+                    path=path,
+                    line=above[0].number,
+                )
         return None, (None,) * columns, set()
     alone = [table_text.unit_alone(cell) for cell in rows[0]]
     of_units = any(alone) and all(
@@ -159,20 +168,6 @@ def _names(
         used = above[:1]
     header = {line.number for line in used if line.kind == TEXT}
     return tuple(name for name, _ in named), units, header
-
-
-def _refuse_other_columns(line: _Line, separator: str, columns: int, path: Path) -> None:
-    """Refuse a line of names with units that are more or fewer than the columns."""
-    cells = table_text.without_empty_end(table_text.split(line.text, separator))
-    if any(table_text.name_and_unit(cell)[1] is not None for cell in cells):
-        raise InputError(
-            f"{counted(len(cells), 'name')} above {counted(columns, 'column')}",
-            "give every column one name, "
-            + ("without blanks" if separator == BLANKS else "separated as the numbers are")
-            + ", or begin the line with #",
-            path=path,
-            line=line.number,
-        )
 
 
 def _refuse_uncertain_commas(rows: list[_Line], names: Sequence[str] | None, path: Path) -> None:

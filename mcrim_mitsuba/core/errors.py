@@ -43,9 +43,9 @@ class InputError(ValueError):
         self.others: tuple[InputError, ...] = ()  # what else was found wrong on the way
         super().__init__(str(self))
 
-    def __reduce__(self) -> tuple[Callable[..., InputError], tuple[Any, ...]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         # exceptions are pickled by their message, which is not what they are made of
-        return _restored, (type(self), self.args, self.__dict__)
+        return type(self).__new__, (type(self), *self.args), self.__dict__
 
     @property
     def place(self) -> str:
@@ -69,13 +69,6 @@ def _cut(text: str, longest: int = _LONGEST) -> str:
     if len(text) <= longest:
         return text
     return f"{text[: longest // 2]} … {text[-longest // 3 :]}"
-
-
-def _restored(kind: type[InputError], arguments: tuple, state: dict) -> InputError:
-    """A refusal that comes from another process."""
-    error = kind.__new__(kind, *arguments)
-    error.__dict__.update(state)
-    return error
 
 
 @contextlib.contextmanager
