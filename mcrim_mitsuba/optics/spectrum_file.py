@@ -83,7 +83,20 @@ def _read_axis(table: DataTable, column: int) -> _WavelengthAxis:
         wavelengths = _FACTORS[unit] * given if reciprocal is None else reciprocal / given
     _refuse_range(table, column, given, wavelengths)
     per_nm = np.ones_like(given) if reciprocal is None else given**2 / reciprocal
-    rows = _ordered(table, column, given, wavelengths)
+    # rows by ascending wavelength, in the order of most of the steps: the others are wrong
+    steps = np.diff(given)
+    direction = 1.0 if np.count_nonzero(steps > 0) >= np.count_nonzero(steps < 0) else -1.0
+    for i in np.flatnonzero(direction * steps <= 0):
+        row = int(i) + 1
+        if steps[i] == 0:
+            if np.array_equal(table.values[i], table.values[row]):
+                continue
+            problem = f"{given[row]:g} is on line {table.lines[i]} already, with another value"
+            raise table.refusal(row, column, problem, "keep one of the rows, or their mean")
+        problem = f"{given[row]:g} after {given[i]:g}: the rows neither ascend nor descend"
+        raise table.refusal(row, column, problem, "sort them, and give each scan a file of its own")
+    kept = np.flatnonzero(np.concatenate(([True], steps != 0)))
+    rows = kept[np.argsort(wavelengths[kept])]
     notes = _notes_on_gaps(table, column, wavelengths[rows], rows)
     return _WavelengthAxis(wavelengths[rows], rows, per_nm[rows], notes)
 
@@ -118,24 +131,6 @@ def _refuse_range(table: DataTable, column: int, given: Array, wavelengths: Arra
                 raise table.refusal(row, column, problem, mend)
     problem = f"{value:g} {unit or 'nm'} is no wavelength from {SHORTEST_NM:g} to {LONGEST_NM:g} nm"
     raise table.refusal(row, column, problem, "correct it, or write the unit in the column's name")
-
-
-def _ordered(table: DataTable, column: int, given: Array, wavelengths: Array) -> NDArray[np.int64]:
-    """Rows by ascending wavelength, repeated ones once; refuses rows without an order."""
-    steps = np.diff(given)
-    # by most of the steps: the others are named as wrong
-    direction = 1.0 if np.count_nonzero(steps > 0) >= np.count_nonzero(steps < 0) else -1.0
-    for i in np.flatnonzero(direction * steps <= 0):
-        row = int(i) + 1
-        if steps[i] == 0:
-            if np.array_equal(table.values[i], table.values[row]):
-                continue
-            problem = f"{given[row]:g} is on line {table.lines[i]} already, with another value"
-            raise table.refusal(row, column, problem, "keep one of the rows, or their mean")
-        problem = f"{given[row]:g} after {given[i]:g}: the rows neither ascend nor descend"
-        raise table.refusal(row, column, problem, "sort them, and give each scan a file of its own")
-    kept = np.flatnonzero(np.concatenate(([True], steps != 0)))
-    return kept[np.argsort(wavelengths[kept])]
 
 
 def _notes_on_gaps(
