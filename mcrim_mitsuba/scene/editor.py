@@ -323,7 +323,13 @@ class SceneEditor(SceneParts):
         mapped = [self._in_scene_itself(start, end) for start, end, _ in splices]
         text, places = self._main, [place for place in mapped if place is not None]
         if None in mapped:
-            self._refuse_inclusion(splices[mapped.index(None)][0])
+            # included files cannot be written into the scene where their own paths would change
+            path, line = self._place(splices[mapped.index(None)][0])
+            home = self.scene.path.parent.resolve()
+            if any(piece.path.parent.resolve() != home for piece in self._pieces):
+                problem = f"what the effect changes is in this file, which {self.scene.path.name} "
+                mend = "add the effect to this file, or move it beside the scene"
+                raise InputError(f"{problem}includes", mend, path=path, line=line)
             text, places = self._text, [(start, end) for start, end, _ in splices]
         for (start, end), (_, _, new) in list(zip(places, splices, strict=True))[::-1]:
             text = text[:start] + new.replace("\n", self._newline) + text[end:]
@@ -391,17 +397,6 @@ class SceneEditor(SceneParts):
     def _is_in_scene_itself(self, node: Node) -> bool:
         """Whether an element stands in the scene's own file."""
         return self._in_scene_itself(*self._spans[node][::3]) is not None
-
-    def _refuse_inclusion(self, position: int) -> None:
-        """Refuse to write included files into the scene where their own paths would change."""
-        path, line = self._place(position)
-        home = self.scene.path.parent.resolve()
-        if any(piece.path.parent.resolve() != home for piece in self._pieces):
-            problem = (
-                f"what the effect changes is in this file, which {self.scene.path.name} includes"
-            )
-            mend = "add the effect to this file, or move it beside the scene"
-            raise InputError(problem, mend, path=path, line=line)
 
     def _insertions(self) -> Iterator[tuple[int, int, str]]:
         """Splices of what goes into elements."""

@@ -105,7 +105,18 @@ def read_index(what: str, text: str, folder: Path | None = None, **place: Any) -
     medium, where = material_at(what, text, **place)
     if isinstance(where, str):
         home = Path(place.get("path") or "").parent if folder is None else folder
-        return _over_emission(what, text, medium, home / where, place)
+        path = home / where
+        if not is_there(path):
+            problem = f"{what} names neither a wavelength nor a file: {path} does not exist"
+            raise InputError(problem, f"write {_EXAMPLE.format(medium.name)}", **place)
+        from mcrim_mitsuba.optics.spectrum_file import read_spectrum
+
+        emission = read_spectrum(path, "emission")
+        with placed(what.rstrip(","), **place):
+            band = index_over(medium.name, emission)
+            _refuse_opaque(medium, band.mean_wavelength_nm)
+        value, notes = round(band.mean, _INDEX_DECIMALS), (*emission.notes, *band.notes)
+        return MaterialIndex(text.strip(), value, medium, None, emission=path, notes=notes)
     with placed(what.rstrip(","), **place):
         _refuse_opaque(medium, where)
         value = round(float(medium.index(where)), _INDEX_DECIMALS)
@@ -132,25 +143,6 @@ def material_at(what: str, text: str, **place: Any) -> tuple[Material, float | s
         mend = f"write it in nm: {_EXAMPLE.format(medium.name)}"
         raise InputError(f"{what} gives the wavelength {how}", mend, **place)
     return medium, float(number)
-
-
-def _over_emission(
-    what: str, text: str, medium: Material, path: Path, place: dict[str, Any]
-) -> MaterialIndex:
-    """Mean over the emission spectrum in a file."""
-    if not is_there(path):
-        problem = f"{what} names neither a wavelength nor a file: {path} does not exist"
-        raise InputError(problem, f"write {_EXAMPLE.format(medium.name)}", **place)
-    from mcrim_mitsuba.optics.spectrum_file import read_spectrum
-
-    emission = read_spectrum(path, "emission")
-    with placed(what.rstrip(","), **place):
-        band = index_over(medium.name, emission)
-        _refuse_opaque(medium, band.mean_wavelength_nm)
-    value = round(band.mean, _INDEX_DECIMALS)
-    return MaterialIndex(
-        text.strip(), value, medium, None, emission=path, notes=(*emission.notes, *band.notes)
-    )
 
 
 def _refuse_opaque(medium: Material, wavelength_nm: float) -> None:
