@@ -281,16 +281,11 @@ class CrystalVolume:
 
     def from_uniforms(self, a, b, c):
         """A birth (Point3f, mm) in a parallelepiped or cylinder from three uniforms (Float)."""
-        if self.circle is not None:
-            return self._in_cylinder(a, b, c)
-        u, v, w = self._edges
-        if self._steepness and self.frame is not None:
-            c = self._share(c, self._from_high == bool(self.frame[3][self._axis] > 0.0))
-        return mi.Point3f(self._corner) + u * a + v * b + w * c
-
-    def _in_cylinder(self, a, b, c):
-        """A birth (Point3f, mm) in a cylinder from three uniforms (Float)."""
-        assert self.circle is not None
+        if self.circle is None:
+            u, v, w = self._edges
+            if self._steepness and self.frame is not None:
+                c = self._share(c, self._from_high == bool(self.frame[3][self._axis] > 0.0))
+            return mi.Point3f(self._corner) + u * a + v * b + w * c
         if self._steepness:
             c = self._share(c, self._from_high)
         radius = self._radius * dr.sqrt(a)

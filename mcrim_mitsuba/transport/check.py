@@ -243,7 +243,8 @@ def _volume_sentence(
 
     volume, (lower, upper) = model.volumes[number], model.bounds(number)
     text = f"{volume.name}: {form_of(model, number)}"
-    text += f", z from {_tidy(lower[2])} to {_tidy(upper[2])} mm"
+    # without the rounding of single precision
+    text += ", z from {:.5g} to {:.5g} mm".format(*(np.round((lower[2], upper[2]), 5) + 0.0))
     if volume.name in indices:
         text += f", index {indices[volume.name]:g}"
     if volume.alpha_scat_per_mm or volume.alpha_abs_per_mm:
@@ -344,8 +345,3 @@ _IMPERFECTIONS = (
 def volume_indices(interfaces: Iterable[Interface]) -> dict[str, float]:
     """Index of every named volume, from its faces."""
     return {volume: claims[0][0] for volume, claims in claimed_indices(interfaces).items()}
-
-
-def _tidy(position_mm: float) -> str:
-    """A coordinate without the rounding of single precision."""
-    return f"{round(position_mm, 5) + 0.0:.5g}"

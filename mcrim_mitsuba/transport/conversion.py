@@ -280,10 +280,6 @@ def _of_dielectric(bsdf) -> dict | None:
     return {"kind": DIELECTRIC, "eta": _first(parameters["eta"])}
 
 
-def _of_diffuse(bsdf) -> dict | None:
-    return _reflector(parameters_of(bsdf), "reflectance.value", two_sided=False)
-
-
 def _of_two_sided(bsdf) -> dict | None:
     parameters = parameters_of(bsdf)
     if "brdf_0.acceptance_deg" in parameters:
@@ -297,7 +293,14 @@ def _reflector(parameters, reflectance: str, *, two_sided: bool) -> dict | None:
     """One grey diffuse reflector; None where the parameters are those of something else."""
     if [name for name in parameters if "value" in name] != [reflectance]:
         return None
-    grey = _grey(parameters[reflectance])
+    values = np.ravel(np.array(parameters[reflectance], dtype=np.float64))
+    if np.ptp(values) > 1e-6:
+        problem = f"a reflectance has a colour ({', '.join(f'{v:g}' for v in values)})"
+        mend = 'light is monochromatic: write <spectrum name="reflectance" value="0.97"/>'
+        raise InputError(problem, mend)
+    grey = float(values[0])
+    if (wrong := judge("reflectance", grey)) is not None:
+        raise InputError(f"its reflectance is {grey:g}: {wrong[1]}", wrong[2])
     return {"kind": DIFFUSE, "reflectance": grey, "two_sided": two_sided}
 
 
@@ -307,7 +310,9 @@ _READERS: dict[str, Callable[[Any], dict | None]] = {
     "Photodetector": _of_photodetector,
     "Polish": _of_polish,
     "SmoothDielectric": _of_dielectric,
-    "SmoothDiffuse": _of_diffuse,
+    "SmoothDiffuse": lambda bsdf: _reflector(
+        parameters_of(bsdf), "reflectance.value", two_sided=False
+    ),
     "TwoSidedBRDF": _of_two_sided,
 }
 
@@ -339,19 +344,6 @@ def _followed(shape, interior: int, exterior: int) -> dict:
         problem = "a thindielectric does not refract, but parts two different volumes"
         raise InputError(problem, 'use <bsdf type="dielectric">')
     return properties
-
-
-def _grey(value) -> float:
-    """The one value of a reflectance; light is monochromatic here."""
-    values = np.ravel(np.array(value, dtype=np.float64))
-    if np.ptp(values) > 1e-6:
-        problem = f"a reflectance has a colour ({', '.join(f'{v:g}' for v in values)})"
-        mend = 'light is monochromatic: write <spectrum name="reflectance" value="0.97"/>'
-        raise InputError(problem, mend)
-    grey = float(values[0])
-    if (wrong := judge("reflectance", grey)) is not None:
-        raise InputError(f"its reflectance is {grey:g}: {wrong[1]}", wrong[2])
-    return grey
 
 
 def _first(value) -> float:

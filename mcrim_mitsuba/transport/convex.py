@@ -146,18 +146,13 @@ def _round_wall(model: SceneModel, volume: int) -> tuple[int, ...]:
     walls = [model.walls[i] for i in numbers]
     if not walls or any(volume == model.around(wall) for wall in model.walls):
         return ()
-    same = all(
-        np.allclose(_ends_and_circle(wall), _ends_and_circle(walls[0]), atol=slack_of(model))
-        for wall in walls
-    )
+    places = [
+        (w.circle.axis, *w.circle.centre_mm, w.circle.radius_mm, w.low_mm, w.high_mm) for w in walls
+    ]
+    same = np.allclose(places, places[0], atol=slack_of(model))
     ends = [-np.inf, *(wall.below_mm for wall in walls)]
     whole = ends == [*(wall.above_mm for wall in walls), np.inf] and len(walls) <= 2
     return tuple(numbers) if same and whole else ()
-
-
-def _ends_and_circle(wall: RoundWall) -> list[float]:
-    circle = wall.circle
-    return [circle.axis, *circle.centre_mm, circle.radius_mm, wall.low_mm, wall.high_mm]
 
 
 def _sides(model: SceneModel, face: int) -> tuple[int, int]:
@@ -427,7 +422,15 @@ class ConvexBody:
         """
         way = self._way_through(ray, self._slabs)
         if self._wall is not None:
-            self._meet_wall(way, ray, last_face)
+            t, t_in, root2 = self._wall.disc.crossings(ray)
+            way.let_out(t < way.out, t, self._wall.met_at(ray, t))
+            if self._enters:
+                steep = self._wall.disc.radius * dr.rsqrt(root2)
+                number = self._wall.met_at(ray, t_in)
+                way.let_in(t_in > way.into, t_in, number, dr.minimum(steep, _GRAZING))
+                way.entering = dr.select(
+                    self._wall.is_of(last_face), mi.UInt32(NO_FACE), way.entering
+                )
         out, leaving = self._way_out(way, ray)
         met = here[self.solid.volume] & (out < best)
         best, which = dr.select(met, out, best), dr.select(met, leaving, which)
@@ -488,17 +491,6 @@ class ConvexBody:
                 t = (near_at - start) * reciprocal
                 way.let_in(near_faces & (t > way.into), t, mi.UInt32(near), reciprocal)
         return way
-
-    def _meet_wall(self, way: _Way, ray: Ray, last_face) -> None:
-        """Let the round wall end the way through, or begin it."""
-        assert self._wall is not None
-        t, t_in, root2 = self._wall.disc.crossings(ray)
-        way.let_out(t < way.out, t, self._wall.met_at(ray, t))
-        if self._enters:
-            steep = self._wall.disc.radius * dr.rsqrt(root2)
-            number = self._wall.met_at(ray, t_in)
-            way.let_in(t_in > way.into, t_in, number, dr.minimum(steep, _GRAZING))
-            way.entering = dr.select(self._wall.is_of(last_face), mi.UInt32(NO_FACE), way.entering)
 
 
 @dataclass(kw_only=True)

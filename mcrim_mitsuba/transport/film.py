@@ -167,9 +167,11 @@ def _enclosed_by(model: SceneModel, walls: list[int]) -> Solid | None:
 
     hull = ConvexHull(corners)
     sides: dict[tuple[float, ...], float] = {}
-    for simplex, equation in zip(hull.simplices, np.round(hull.equations, 6) + 0.0, strict=True):
+    a, b, c = np.moveaxis(hull.points[hull.simplices], 1, 0)
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+    for area, equation in zip(areas.tolist(), np.round(hull.equations, 6) + 0.0, strict=True):
         side = tuple(equation.tolist())
-        sides[side] = sides.get(side, 0.0) + _area(hull.points[simplex])
+        sides[side] = sides.get(side, 0.0) + area
     covered = dict.fromkeys(sides, 0.0)
     for number in walls:
         face = faces[number]
@@ -186,11 +188,6 @@ def _enclosed_by(model: SceneModel, walls: list[int]) -> Solid | None:
         axis = tuple(value / largest + 0.0 for value in normal)
         bounds.append(Plane(axis, True, -level / largest + slack, []))
     return Solid(OUTSIDE, tuple(bounds), ())
-
-
-def _area(triangle: np.ndarray) -> float:
-    a, b, c = triangle
-    return float(np.linalg.norm(np.cross(b - a, c - a))) / 2.0
 
 
 class FilmTrips:

@@ -132,13 +132,24 @@ def photograph(
     numbers. The floor must lie below all bodies. `samples` are light paths per pixel; many are
     rounded up to a multiple of `TOGETHER`. ``progress(done, total)`` is in samples per pixel.
     """
-    sky, floor_light = _sky()
+    # radiance of the sky, from the zenith down and around: so soft that what is matte needs few
+    # light paths, and dark below, which glass shows
+    from_zenith, azimuth = (np.pi * (np.arange(n) + 0.5) / _SKY[0] for n in _SKY)
+    up, level = np.cos(from_zenith)[:, None], np.sin(from_zenith)[:, None]
+    x, y, z = _KEY
+    key = np.clip(level * (x * np.sin(azimuth) + y * np.cos(azimuth)) + z * up, 0.0, 1.0)
+    dark = np.clip((12.0 - np.degrees(np.arcsin(up))) / 10.0, 0.0, 1.0)
+    sky = 0.75 + 0.3 * np.maximum(up, 0.0) - 0.6 * dark + 0.8 * key**4
+    lights = np.broadcast_to(np.maximum(up, 0.0) * level, sky.shape)
+    floor_light = FLOOR * float(np.average(sky, weights=lights))
     scene = _studio(bodies, camera, floor_z_mm, sky)
     at_once = TOGETHER if samples >= 2 * TOGETHER else 1
     count = -(-samples // at_once)
     total = squares = np.zeros(())
     for number, word in enumerate(seed_words(count, seed), start=1):
-        light = _exposed(scene, at_once, word)
+        with signals_wait():
+            # (height, width, 3)
+            light = np.array(mi.render(scene, spp=at_once, seed=word), dtype=float)
         total, squares = total + light, squares + light**2
         if progress is not None:
             progress(min(number * at_once, samples), samples)
@@ -150,27 +161,6 @@ def photograph(
         with np.errstate(divide="ignore"):
             mean = np.dstack([wiener(mean[..., i], _SMOOTH, noise[..., i]) for i in range(3)])
     return (mean / floor_light).astype(np.float32)
-
-
-@signals_wait()
-def _exposed(scene, samples: int, word: int) -> np.ndarray:
-    """What so many light paths per pixel bring, float64, shape (height, width, 3)."""
-    return np.array(mi.render(scene, spp=samples, seed=word), dtype=float)
-
-
-def _sky() -> tuple[np.ndarray, float]:
-    """Radiance of the sky, from the zenith down and around, and of the floor below it.
-
-    It is so soft that what is matte needs few light paths, and dark below, which glass shows.
-    """
-    from_zenith, azimuth = (np.pi * (np.arange(n) + 0.5) / _SKY[0] for n in _SKY)
-    up, level = np.cos(from_zenith)[:, None], np.sin(from_zenith)[:, None]
-    x, y, z = _KEY
-    key = np.clip(level * (x * np.sin(azimuth) + y * np.cos(azimuth)) + z * up, 0.0, 1.0)
-    dark = np.clip((12.0 - np.degrees(np.arcsin(up))) / 10.0, 0.0, 1.0)
-    sky = 0.75 + 0.3 * np.maximum(up, 0.0) - 0.6 * dark + 0.8 * key**4
-    lights = np.broadcast_to(np.maximum(up, 0.0) * level, sky.shape)
-    return sky, FLOOR * float(np.average(sky, weights=lights))
 
 
 @signals_wait()

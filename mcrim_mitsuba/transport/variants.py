@@ -81,12 +81,24 @@ def selected_llvm() -> LlvmLibrary:
     library is found, or if Dr.Jit was imported first and has loaded one that is too old.
     """
     if "drjit" in sys.modules:
-        return _already_loaded()
+        # what Dr.Jit has opened, where the system lists it (Linux); else what it was told to
+        maps = Path("/proc/self/maps")
+        lines = maps.read_text().splitlines() if maps.exists() else []
+        paths = sorted({line.split()[-1] for line in lines if "libLLVM" in line})
+        opened = paths[0] if paths else os.environ.get(ENVIRONMENT_VARIABLE, "")
+        library = _usable(Path(opened), "already loaded") if opened else None
+        if library is None:
+            raise InputError(
+                f"Dr.Jit was imported first and was given {opened or 'no LLVM'}, which is too old "
+                "or cannot be loaded",
+                "call mcrim_mitsuba.use_variant() before mitsuba and drjit are imported",
+            )
+        return library
     chosen = os.environ.get(ENVIRONMENT_VARIABLE)
     if chosen:
         return _checked(chosen, "environment")
     places = ("wheel", _in_wheels), ("system", _in_system)
-    usable = (_usable(path, origin) for origin, paths in places for path in paths())
+    usable = (_usable(path, origin) for origin, there in places for path in there())
     library = next(filter(None, usable), None)
     if library is None:
         raise InputError(
@@ -96,22 +108,6 @@ def selected_llvm() -> LlvmLibrary:
             "system's libLLVM",
         )
     os.environ[ENVIRONMENT_VARIABLE] = library.path
-    return library
-
-
-def _already_loaded() -> LlvmLibrary:
-    """What Dr.Jit has opened, where the system lists it (Linux); else what it was told to."""
-    maps = Path("/proc/self/maps")
-    lines = maps.read_text().splitlines() if maps.exists() else []
-    paths = sorted({line.split()[-1] for line in lines if "libLLVM" in line})
-    path = paths[0] if paths else os.environ.get(ENVIRONMENT_VARIABLE, "")
-    library = _usable(Path(path), "already loaded") if path else None
-    if library is None:
-        raise InputError(
-            f"Dr.Jit was imported first and was given {path or 'no LLVM'}, which is too old or "
-            "cannot be loaded",
-            "call mcrim_mitsuba.use_variant() before mitsuba and drjit are imported",
-        )
     return library
 
 

@@ -93,12 +93,8 @@ def probe(model: SceneModel) -> Crossings:
 
 def trace_crossings(model: SceneModel, origin, direction) -> Crossings:
     """All crossings of the lines, exactly for flat faces, by Mitsuba's intersection otherwise."""
-    if model.faces is not None:
-        return _through_flat_faces(model, origin, direction)
-    return _through_any_shapes(model, origin, direction)
-
-
-def _through_flat_faces(model, origin, direction) -> Crossings:
+    if model.faces is None:
+        return _through_any_shapes(model, origin, direction)
     distance = np.full((len(origin), len(model.faces) + 2 * len(model.walls)), np.inf)
     behind = np.zeros(distance.shape, dtype=bool)
     ambiguous = np.zeros(len(origin), dtype=bool)
@@ -113,7 +109,7 @@ def _through_flat_faces(model, origin, direction) -> Crossings:
         rim = RIM * model.size_mm / min(np.linalg.norm(face.edge_u), np.linalg.norm(face.edge_v))
         ambiguous |= np.abs(margin) <= rim
         distance[:, number] = np.where((margin > 0) & (t > 0), t, np.inf)
-    rim = RIM * model.size_mm
+    width = RIM * model.size_mm
     for number, (wall, sign) in enumerate(itertools.product(model.walls, (-1.0, 1.0))):
         column, circle = len(model.faces) + number, wall.circle
         away, along = origin[:, circle.across] - circle.centre_mm, direction[:, circle.across]
@@ -123,7 +119,7 @@ def _through_flat_faces(model, origin, direction) -> Crossings:
             t = (-b + sign * np.sqrt(b * b - a * c)) / a
             margin = wall.margin(origin + t[:, None] * direction)
             nearest = np.sqrt(np.maximum(c + circle.radius_mm**2 - b * b / a, 0.0))
-        ambiguous |= (np.abs(margin) <= rim) | (np.abs(nearest - circle.radius_mm) <= rim)
+        ambiguous |= (np.abs(margin) <= width) | (np.abs(nearest - circle.radius_mm) <= width)
         distance[:, column] = np.where((margin > 0) & (t > 0), t, np.inf)
         behind[:, column] = (sign > 0) == wall.outwards
     origin, direction = origin[~ambiguous], direction[~ambiguous]

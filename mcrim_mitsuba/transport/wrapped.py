@@ -141,16 +141,11 @@ class WrappedFaces:
                 wrapping=self.wrapping,
                 contact_above_mm=level if ends else -np.inf,
             )
-        if self.shape.is_paint:
-            self._refuse_paint_on_nothing(list(changed))
-        return changed
-
-    def _refuse_paint_on_nothing(self, numbers: Sequence[int]) -> None:
-        """Refuse paint at a distance."""
         wanted = ~self.shape.open
         wanted[_FOOT] = False
-        reach = [self.reaches[number][:, 1].max(axis=0) for number in numbers]
-        missed = np.max([*reach, np.full(wanted.shape, -np.inf)], axis=0) < -self.rounding
-        if (missed & wanted).any():
+        highest = [self.reaches[number][:, 1].max(axis=0) for number in changed]
+        missed = np.max([*highest, np.full(wanted.shape, -np.inf)], axis=0) < -self.rounding
+        if self.shape.is_paint and (missed & wanted).any():
             problem = f"{self.wrapping.name} is paint, without a film, and no crystal fills it"
             raise InputError(problem, "give it the crystal's own sizes, or a film above 0")
+        return changed
