@@ -48,7 +48,16 @@ def catalogue(folder: str | Path | None = None) -> dict[str, Effect]:
     effects = dict(BUILT_IN)
     added = list(_installed()) if folder is None else [*_installed(), *_effects_of(Path(folder))]
     for effect, place in added:
-        _refuse_taken_names(effect, effects, place)
+        # files refer to names of effects and of parameters
+        if effect.name in effects or effect.name in OLD_NAMES:
+            problem = f"an effect {effect.name} exists already"
+            raise InputError(problem, "give EFFECT another name", **place)
+        owners = {p.name: e.name for e in effects.values() for p in e.parameters} | OLD_NAMES
+        for parameter in effect.parameters:
+            if parameter.name in owners:
+                problem = f"{parameter.name} is a parameter of {owners[parameter.name]} already"
+                raise InputError(problem, "give the parameter another name", **place)
+            owners[parameter.name] = effect.name
         effects[effect.name] = effect
     for effect, place in added:
         for other in effect.excludes:
@@ -135,19 +144,6 @@ def _line_within(file: str, error: BaseException) -> int | None:
     """The line of a file that an error came from; None if it is none of the file's."""
     frames = traceback.extract_tb(error.__traceback__)
     return next((frame.lineno for frame in frames[::-1] if frame.filename == file), None)
-
-
-def _refuse_taken_names(effect: Effect, taken: Mapping[str, Effect], place: _Place) -> None:
-    """Refuse an effect whose name, or parameter, another one has: files refer to these."""
-    if effect.name in taken or effect.name in OLD_NAMES:
-        problem = f"an effect {effect.name} exists already"
-        raise InputError(problem, "give EFFECT another name", **place)
-    owners = {p.name: other.name for other in taken.values() for p in other.parameters} | OLD_NAMES
-    for parameter in effect.parameters:
-        if parameter.name in owners:
-            problem = f"{parameter.name} is a parameter of {owners[parameter.name]} already"
-            raise InputError(problem, "give the parameter another name", **place)
-        owners[parameter.name] = effect.name
 
 
 # Puts an effect of the catalogue into a scene.

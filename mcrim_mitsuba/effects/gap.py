@@ -29,7 +29,7 @@ from mcrim_mitsuba.effects.scene_edits import (
     split_panel,
     worn_towards_air,
 )
-from mcrim_mitsuba.scene.editor import INTERFACES, Node, SceneEditor
+from mcrim_mitsuba.scene.editor import INTERFACES, SceneEditor
 
 _OFFSETS = {"int_ior": "int_offset", "ext_ior": "ext_offset"}
 
@@ -314,7 +314,18 @@ def edit_gel_creep(editor: SceneEditor) -> None:
     editor.refuse_id(_LIQUID)
     box = crystal_box(editor)
     sides = [face for name in ("right", "left", "back", "front") for face in box[name]]
-    wet = _interface(editor, box["bottom"][0], sides[0])
+    # a new interface of crystal and liquid: the bottom's, as rough as the sides
+    bottom, side = box["bottom"][0], sides[0]
+    below, beside = editor.bsdf(bottom), editor.bsdf(side)
+    if below is None or beside is None or not {below, beside} <= set(editor.crystal_polish):
+        problem = f"{bottom.label} or {side.label} does not wear a dielectric"
+        raise editor.refusal(problem, "only faces of plain polish can be changed", bottom)
+    wet = _WET + "_side" * beside.get("id", "").endswith("_side")
+    editor.refuse_id(wet)
+    kept = [part for part in below.elements if part.get("name") != _ROUGH]
+    parts = [editor.source(part) for part in [*kept, beside.named(_ROUGH)] if part is not None]
+    plugin = "polish" if len(parts) > 2 else "dielectric"
+    editor.insert_after(below, element(f'bsdf type="{plugin}" id="{wet}"', parts))
     editor.insert_after(
         editor.gap,
         "<!-- the liquid that has crept up the sides: light goes straight on in it -->\n"
@@ -328,21 +339,6 @@ def edit_gel_creep(editor: SceneEditor) -> None:
     for face in sides:
         name = f"{face.attrib['id']}_wet"
         split_panel(editor, face, name, _LEVEL, ("above", "below"), worn)
-
-
-def _interface(editor: SceneEditor, bottom: Node, side: Node) -> str:
-    """Id of a new interface of crystal and liquid: the bottom's, as rough as the sides."""
-    below, beside = editor.bsdf(bottom), editor.bsdf(side)
-    if below is None or beside is None or not {below, beside} <= set(editor.crystal_polish):
-        problem = f"{bottom.label} or {side.label} does not wear a dielectric"
-        raise editor.refusal(problem, "only faces of plain polish can be changed", bottom)
-    name = _WET + "_side" * beside.get("id", "").endswith("_side")
-    editor.refuse_id(name)
-    kept = [part for part in below.elements if part.get("name") != _ROUGH]
-    parts = [editor.source(part) for part in [*kept, beside.named(_ROUGH)] if part is not None]
-    plugin = "polish" if len(parts) > 2 else "dielectric"
-    editor.insert_after(below, element(f'bsdf type="{plugin}" id="{name}"', parts))
-    return name
 
 
 GEL_CREEP = Effect(

@@ -7,7 +7,6 @@ kept by their content, in the user's own configuration. The package's own exampl
 from __future__ import annotations
 
 import contextlib
-import functools
 import hashlib
 from pathlib import Path
 
@@ -41,7 +40,7 @@ def fingerprint(folder: Path) -> str:
 def refuse_untrusted(folder: Path, path: str | None = None, line: int | None = None) -> None:
     """Refuse (UntrustedEffectsError with this place) a folder that its user has not allowed."""
     content = fingerprint(folder)
-    if content in _allowed_now or content == _of_package() or content in _kept():
+    if content in _allowed_now or content in {fingerprint(scenes_folder() / _SHIPPED), *_kept()}:
         return
     names = ", ".join(sorted(file.name for file in folder.glob("*.py")))
     if not names:  # nothing would be: that no effect is there is the catalogue's to say
@@ -97,8 +96,3 @@ def _kept() -> set[str]:
         return set(read_text(_place(), _LIMIT_MB).split())
     except InputError:
         return set()
-
-
-@functools.cache
-def _of_package() -> str:
-    return fingerprint(scenes_folder() / _SHIPPED)
