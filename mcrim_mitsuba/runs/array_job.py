@@ -79,7 +79,16 @@ class UnitFolder:
             raise InputError(problem, "let --units name a folder", path=self.path) from None
         mine = {**command, "parts": part.count}
         if not is_there(self.path / _COMMAND):
-            self._write_first(mine)
+            # unless another process is first: then its file stays
+            new = f"{_COMMAND}.{uuid.uuid4().hex}"
+            self.write(new, mine)
+            try:
+                os.link(self.path / new, self.path / _COMMAND)
+            except FileExistsError:
+                pass
+            except OSError:  # a file system without links
+                os.replace(self.path / new, self.path / _COMMAND)
+            (self.path / new).unlink(missing_ok=True)
         if {**self.command(), "files": mine["files"]} != mine:
             problem = "the folder holds parts of another command, or of another number of parts"
             mend = "let --units name a new folder, or remove this one"
@@ -131,18 +140,6 @@ class UnitFolder:
         return [
             k for k in range(1, parts + 1) if not is_there(self.path / ArrayPart(k, parts).report)
         ]
-
-    def _write_first(self, command: Mapping[str, Any]) -> None:
-        """Write the command unless another process is first: then its file stays."""
-        new = f"{_COMMAND}.{uuid.uuid4().hex}"
-        self.write(new, command)
-        try:
-            os.link(self.path / new, self.path / _COMMAND)
-        except FileExistsError:
-            pass
-        except OSError:  # a file system without links
-            os.replace(self.path / new, self.path / _COMMAND)
-        (self.path / new).unlink(missing_ok=True)
 
     def write(self, name: str, content: Mapping[str, Any]) -> None:
         """Write one of the folder's files; raises InputError as `write_text`."""

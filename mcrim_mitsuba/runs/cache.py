@@ -339,7 +339,12 @@ class RecordCache:
                     f"let {SIZE_VARIABLE} allow more"
                 )
         except OSError as error:
-            self.trouble = _not_writable(root, error)
+            places = [Path(name) for name in (error.filename, error.filename2) if name is not None]
+            # names beside the keys' pass, and say nothing to anybody; nor does a key's
+            where = next(
+                (f": {place}" for place in places if root not in (place, place.parent)), ""
+            )
+            self.trouble = f"{root}: photon records cannot be kept ({cause(error)}{where})"
             if self._limit_bytes is not None:
                 self.trouble += (
                     f"; free or unlock this place, or let {FOLDER_VARIABLE} name another folder"
@@ -377,11 +382,3 @@ def _place(file: Path, parts: list[bytes | memoryview], *, durable: bool) -> Non
         except (FileExistsError, FileNotFoundError):  # another process, just then
             if not tries_left:
                 raise
-
-
-def _not_writable(cache: Path, error: OSError) -> str:
-    places = (Path(name) for name in (error.filename, error.filename2) if name is not None)
-    # names beside the keys' pass, and say nothing to anybody; nor does a key's
-    place = next((place for place in places if place.parent != cache), cache)
-    where = "" if place == cache else f": {place}"
-    return f"{cache}: photon records cannot be kept ({cause(error)}{where})"
