@@ -304,7 +304,12 @@ def _numbers_of(cells: distribution.TimeCells, decay_ps: float) -> dict[str, Any
     latest_ps = float(
         distribution.quantiles(cells.edges_ps, light.sum(axis=0), np.array(SETTINGS.shown_part))
     )
-    edges = _round_edges(latest_ps)
+    # borders of some bins of a round width, from 0 on
+    step = latest_ps / SETTINGS.bins
+    power = 10.0 ** math.floor(math.log10(step))
+    step = next(n * power for n in (1.0, 2.0, 5.0, 10.0) if n * power >= step * (1.0 - 1e-9))
+    bins = math.ceil(latest_ps / step * (1.0 - 1e-9))
+    edges = np.asarray(step * np.arange(bins + 1), float)
 
     def rise_and_histogram(light: Array) -> Array:
         begin, end = distribution.quantiles(cells.edges_ps, light, np.array(SETTINGS.rise))
@@ -321,14 +326,6 @@ def _numbers_of(cells: distribution.TimeCells, decay_ps: float) -> dict[str, Any
     for name, (value, sigma) in zip(("mean", "rms", "begin", "rise"), moments, strict=True):
         numbers |= {f"{name}_ps": value, f"{name}_ps_sigma": sigma}
     return numbers
-
-
-def _round_edges(latest_ps: float) -> Array:
-    """Borders of some `TimingSettings.bins` bins of a round width, from 0 on."""
-    step = latest_ps / SETTINGS.bins
-    power = 10.0 ** math.floor(math.log10(step))
-    step = next(n * power for n in (1.0, 2.0, 5.0, 10.0) if n * power >= step * (1.0 - 1e-9))
-    return np.asarray(step * np.arange(math.ceil(latest_ps / step * (1.0 - 1e-9)) + 1), float)
 
 
 def group_indices(

@@ -111,12 +111,14 @@ def eta_over(
     wavelength, a value is out of range, or the solver does not know such a bench.
     """
     plan = _Plan.of(scene, light)
-    answer = _by_photons(plan, run) if solver is None else _by_solver(plan, solver, run)
+    answer, photons, cached_photons = (
+        _by_photons(plan, run) if solver is None else _by_solver(plan, solver, run)
+    )
     weights, fewer = _between(plan.nodes_nm, plan.asked_nm)
-    batches = np.einsum("wn,nbw->bw", weights, answer.eta)
+    batches = np.einsum("wn,nbw->bw", weights, answer)
     eta = batches.mean(axis=0)
     # what the polynomial says without the farthest node, over what it says
-    off = np.einsum("wn,nbw->w", fewer - weights, answer.eta) / len(batches) / eta
+    off = np.einsum("wn,nbw->w", fewer - weights, answer) / len(batches) / eta
     return EtaSpectrum(
         light=light,
         eta=eta[:-1],
@@ -124,8 +126,8 @@ def eta_over(
         **_means(light, batches),
         interpolation_error=float(np.abs(off).max()),
         nodes_nm=tuple(plan.nodes_nm.tolist()),
-        photons=answer.photons,
-        cached_photons=answer.cached_photons,
+        photons=photons,
+        cached_photons=cached_photons,
         seed=run.seed,
         parameters=dict(scene.parameters),
         scene_hash=scene.content_hash,
@@ -161,17 +163,12 @@ class _Plan:
         return cls(asked, points, nodes, benches)
 
 
-@dataclass(frozen=True, eq=False)
-class _Batches:
-    """Efficiencies whose spread over batches is their error."""
-
-    #: (benches, batches, points) float64; batches of one number belong together.
-    eta: Array
-    photons: int = 0
-    cached_photons: int = 0
+#: (benches, batches, points) efficiencies whose spread over batches is their error, batches of one
+#: number belonging together; photons, and those of them that are cached.
+_Answer = tuple[Array, int, int]
 
 
-def _by_solver(plan: _Plan, solver: Solver, run: Run) -> _Batches:
+def _by_solver(plan: _Plan, solver: Solver, run: Run) -> _Answer:
     """Four batches, the mean of which has the solver's error.
 
     All wavelengths are off alike, and one end of the band is up with the other one down; a pair
@@ -183,10 +180,10 @@ def _by_solver(plan: _Plan, solver: Solver, run: Run) -> _Batches:
     alike = np.ones_like(tilt)
     signs = math.sqrt(6.0) * np.array([tilt, -tilt, alike, -alike])
     solved = solver(plan.benches, scattering, absorption, run)
-    return _Batches(np.array([eta + signs * error for eta, error in solved]))
+    return np.array([eta + signs * error for eta, error in solved]), 0, 0
 
 
-def _by_photons(plan: _Plan, run: Run) -> _Batches:
+def _by_photons(plan: _Plan, run: Run) -> _Answer:
     """Batches of photons; errors as `eta_over`."""
     if run.photons is None and run.precision is None:
         run = replace(run, photons=PHOTONS)
@@ -202,11 +199,8 @@ def _by_photons(plan: _Plan, run: Run) -> _Batches:
                 mend = "follow more, or cut the spectrum there"
                 raise InputError(problem, mend, path=plan.benches[0].path)
         rows.append(surface.batches(plan.points))
-    return _Batches(
-        np.array(rows),
-        sum(spent.photons for _, spent in records),
-        sum(spent.cached_photons for _, spent in records),
-    )
+    photons = sum(spent.photons for _, spent in records)
+    return np.array(rows), photons, sum(spent.cached_photons for _, spent in records)
 
 
 def _means(light: EmittedLight, batches: Array) -> dict[str, float]:

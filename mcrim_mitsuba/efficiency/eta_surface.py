@@ -97,7 +97,20 @@ class EtaSurface:
         takes most of the time and is NaN then.
         """
         point = alpha_scat_per_cm, alpha_abs_per_cm
-        self._refuse_out_of_range(*point)
+        ranges = self.grid.alpha_scat_range_per_cm, self.grid.alpha_abs_range_per_cm
+        for name, value, (low, high) in zip((ALPHA_SCAT, ALPHA_ABS), point, ranges, strict=True):
+            # a fit's bounds come back from logarithms: allow for their rounding
+            if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
+                raise InputError(
+                    f"{name} = {value:g} is outside {low:g}..{high:g}, what was simulated",
+                    "simulate a range that holds it",
+                )
+        if 0.0 < alpha_scat_per_cm < SMALLEST_PER_CM:
+            raise InputError(
+                f"at alpha_scat_per_cm = {alpha_scat_per_cm:g} light flies too far for photons "
+                f"simulated at {SMALLEST_PER_CM:g} /cm",
+                "ask for no scattering, or more",
+            )
         place = float(self.grid.place_of_scattering(np.array(alpha_scat_per_cm)))
         across = float(self.grid.place_of_absorption(np.array(alpha_abs_per_cm)))
         scattering, by_scattering = self.grid.scattering.weights(place)
@@ -149,23 +162,6 @@ class EtaSurface:
     def _etas_by(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """(points,) eta by the weights of the nodes."""
         return np.exp(weights @ self.table.log_eta.ravel())
-
-    def _refuse_out_of_range(self, *point: float) -> None:
-        """Refuse coefficients that were not simulated."""
-        ranges = self.grid.alpha_scat_range_per_cm, self.grid.alpha_abs_range_per_cm
-        for name, value, (low, high) in zip((ALPHA_SCAT, ALPHA_ABS), point, ranges, strict=True):
-            # a fit's bounds come back from logarithms: allow for their rounding
-            if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
-                raise InputError(
-                    f"{name} = {value:g} is outside {low:g}..{high:g}, what was simulated",
-                    "simulate a range that holds it",
-                )
-        if 0.0 < point[0] < SMALLEST_PER_CM:
-            raise InputError(
-                f"at alpha_scat_per_cm = {point[0]:g} light flies too far for photons simulated at "
-                f"{SMALLEST_PER_CM:g} /cm",
-                "ask for no scattering, or more",
-            )
 
 
 class Cut(NamedTuple):

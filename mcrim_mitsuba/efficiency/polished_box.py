@@ -224,12 +224,6 @@ class _Modes:
 
     # Waves (q, r) along a side, and those (q, -r) that are not their opposites.
 
-    def _along_sides(self, by_q: _Array, by_r: _Array) -> _Array:
-        """Phases, (waves, n), of what they are by q and by r, (q, n) and (r, n)."""
-        turned = by_q[1:, None] - by_r[1:]
-        both = by_q[:, None] + by_r, turned
-        return np.concatenate([x.reshape(-1, x.shape[-1]) for x in both])
-
     def _by_signs(self, waves: _Array) -> _Array:
         """The mean of both signs of r: from (alphas, waves, ...) to (alphas, q, r, ...)."""
         _, across, upwards = self.shape
@@ -259,7 +253,9 @@ class _Modes:
     def _phase_across(self, sides: SideCone) -> _Phase:
         by_q = self._across[0][:, None] * sides.across_y
         by_r = self._upwards[0][:, None] * sides.across_z
-        phase = self._along_sides(by_q, by_r)
+        turned = by_q[1:, None] - by_r[1:]
+        both = by_q[:, None] + by_r, turned
+        phase = np.concatenate([x.reshape(-1, x.shape[-1]) for x in both])
         return _Phase.of(phase, sides.cos, self.bench.crystal_width_mm)
 
     @cached_property

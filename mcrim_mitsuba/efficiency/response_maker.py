@@ -126,13 +126,6 @@ class _Bench(NamedTuple):
     tables: tuple[WantedTable, ...]
 
 
-def _not_dark(table: EtaGrid, photons: int) -> EtaGrid:
-    """A beam of which no photon arrives, as behind ground faces, has fewer than one of them."""
-    dark = ~np.isfinite(table.log_eta)
-    log_eta = np.where(dark, -math.log(photons), table.log_eta)
-    return EtaGrid(log_eta, np.where(dark, np.float32(0.0), table.deviations))
-
-
 def _within(wanted: WantedTable, angle_deg: float) -> WantedTable:
     """A beam's table with the light within another half angle."""
     of = wanted.request
@@ -452,7 +445,10 @@ class ResponseMaker:
         for node in plan.nodes:
             plain, changed = tables[node.reference.number], tables[node.changed.number]
             if readings[node.reading].of_beam:
-                changed = _not_dark(changed, node.changed.run.photons)
+                # one of which no photon arrives, as behind ground faces, has fewer than one of them
+                dark = ~np.isfinite(changed.log_eta)
+                log_eta = np.where(dark, -math.log(node.changed.run.photons), changed.log_eta)
+                changed = EtaGrid(log_eta, np.where(dark, np.float32(0.0), changed.deviations))
             better = known.get((node.reading, node.reference.request.radius_mm), plain)
             added = difference(changed, plain, better)
             log_ratio[(*node.place, node.reading)] = added.log_eta

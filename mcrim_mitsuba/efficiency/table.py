@@ -200,7 +200,27 @@ class TableGrid:
     @classmethod
     def of(cls, file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> TableGrid:
         """The grid of axes over a scene; errors as `eta_table`."""
-        _refuse_axes(file, axes)
+        for name, values in ({ALPHA_ABS: [0.0], ALPHA_SCAT: [0.0]} | dict(axes)).items():
+            if name not in file.parameters:
+                usual = name in COLUMNS
+                raise InputError(
+                    f"the scene has no parameter {name}",
+                    "a table varies n_gap, alpha_abs_per_cm and alpha_scat_per_cm: declare it"
+                    if usual
+                    else file.mend_of(name),
+                    path=file.path,
+                )
+            if name in axes and name in file.overrides:
+                problem = f"{name} is both varied by the table and given a value"
+                raise InputError(problem, "leave one of them out")
+            if not len(values):
+                raise InputError(f"there is no value of {name}", "give one at least")
+            for value in values:
+                if isinstance(value, str | bool):
+                    continue
+                number = _value(name, value)
+                if (wrong := judge(name, number)) is not None:
+                    raise InputError(f"{name} = {number:g}: {wrong[1]}", wrong[2])
         varied = {name: _values_as_in(file, name, values) for name, values in axes.items()}
         outer = {name: values for name, values in varied.items() if name not in COEFFICIENTS}
         inner = {
@@ -361,28 +381,3 @@ def _values_as_in(file: SceneFile, name: str, values: Sequence[Value]) -> tuple[
 
 def _value(name: str, value: object) -> float:
     return number_of(f"a value of {name}", value, "give a list of plain numbers")
-
-
-def _refuse_axes(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
-    """Refuse axes that a scene has no parameters for, and values out of range."""
-    for name, values in ({ALPHA_ABS: [0.0], ALPHA_SCAT: [0.0]} | dict(axes)).items():
-        if name not in file.parameters:
-            usual = name in COLUMNS
-            raise InputError(
-                f"the scene has no parameter {name}",
-                "a table varies n_gap, alpha_abs_per_cm and alpha_scat_per_cm: declare it"
-                if usual
-                else file.mend_of(name),
-                path=file.path,
-            )
-        if name in axes and name in file.overrides:
-            problem = f"{name} is both varied by the table and given a value"
-            raise InputError(problem, "leave one of them out")
-        if not len(values):
-            raise InputError(f"there is no value of {name}", "give one at least")
-        for value in values:
-            if isinstance(value, str | bool):
-                continue
-            number = _value(name, value)
-            if (wrong := judge(name, number)) is not None:
-                raise InputError(f"{name} = {number:g}: {wrong[1]}", wrong[2])
