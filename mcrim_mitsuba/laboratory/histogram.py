@@ -68,7 +68,14 @@ def main_peak(values: Array, counts: Array, variances: Array | None = None) -> F
         return None
     main = np.flatnonzero(areas >= _LARGE * areas.max())[-1]
     top, bin_width = tops[main], values[1] - values[0]
-    height, half_width = _half_width(smooth, top)
+    # on that side where it falls off further: the other may be cut, or reach into another peak
+    sides = []
+    for side in (smooth[top::-1], smooth[top:]):
+        higher = np.flatnonzero(side > side[0])
+        side = side[: higher[0]] if len(higher) else side
+        height = float(side[0] - side.min())
+        sides.append((height, int(np.argmax(side < side[0] - 0.5 * height))))
+    height, half_width = max(sides)
     width = max(2.0 * half_width / FWHM, 1.0) * bin_width
     # the valleys: within four widths below, and on the way to the next peak above
     below = np.arange(max(0, top - math.ceil(4 * width / bin_width)), top + 1)
@@ -103,20 +110,10 @@ def clear_peaks(
 def _clear_peaks(
     counts: Array, variances: Array | None
 ) -> tuple[Array, NDArray[Any], Array, Array]:
-    """Smoothed counts, and of peaks that stand out of them places, widths (bins) and areas."""
-    smooth, smoothing, tops, widths, prominences = _smoothed_peaks(counts)
-    # of counts that a Gaussian has smoothed
-    of_counts = smooth[tops] if variances is None else variances[tops]
-    noise = np.sqrt(np.maximum(of_counts, 1.0) / (2 * math.sqrt(math.pi) * smoothing))
-    clear = prominences > _STANDS_OUT * noise
-    return smooth, tops[clear], widths[clear], (prominences * widths)[clear]
+    """Smoothed counts, and of peaks that stand out of them places, widths (bins) and areas.
 
-
-def _smoothed_peaks(counts: Array) -> tuple[Array, float, NDArray[Any], Array, Array]:
-    """Counts, smoothed until neighbours agree within their errors, with their peaks.
-
-    Smoothed counts and the smoothing in bins, the first that is not small against the widest peak;
-    of all peaks the place and the full width at half height, in bins, and the prominence.
+    Counts are smoothed until neighbours agree within their errors: until the smoothing is not small
+    against the widest peak.
     """
     # these take half a second to import
     from scipy.ndimage import gaussian_filter1d
@@ -125,24 +122,14 @@ def _smoothed_peaks(counts: Array) -> tuple[Array, float, NDArray[Any], Array, A
     for smoothing in _SMOOTHINGS:
         smooth = gaussian_filter1d(counts, smoothing, mode="nearest")
         tops, properties = find_peaks(smooth, prominence=1e-9)
-        widths = peak_widths(smooth, tops, 0.5)[0]
+        widths, prominences = peak_widths(smooth, tops, 0.5)[0], properties["prominences"]
         if smoothing >= 0.15 * widths.max(initial=0.0):
             break
-    return smooth, smoothing, tops, widths, properties["prominences"]
-
-
-def _half_width(smooth: Array, top: int) -> tuple[float, int]:
-    """Height and half width of a peak, in bins, on that side where it falls off further.
-
-    The other side may be cut, or reach into another peak.
-    """
-    sides = []
-    for side in (smooth[top::-1], smooth[top:]):
-        higher = np.flatnonzero(side > side[0])
-        side = side[: higher[0]] if len(higher) else side
-        height = float(side[0] - side.min())
-        sides.append((height, int(np.argmax(side < side[0] - 0.5 * height))))
-    return max(sides)
+    # of counts that a Gaussian has smoothed
+    of_counts = smooth[tops] if variances is None else variances[tops]
+    noise = np.sqrt(np.maximum(of_counts, 1.0) / (2 * math.sqrt(math.pi) * smoothing))
+    clear = prominences > _STANDS_OUT * noise
+    return smooth, tops[clear], widths[clear], (prominences * widths)[clear]
 
 
 def peak_inside(values: Array, counts: Array) -> Found | None:
@@ -188,19 +175,15 @@ def _sorted_into_bins(events: Array, width: float) -> tuple[Array, Array]:
 
 
 def _bin_width(events: Array) -> float:
-    """Width of a bin; 0 where half of the events are alike."""
+    """Width of a bin that shows the main peak; 0 where half of the events are alike.
+
+    The quartiles may lie in a pedestal far away from it.
+    """
     low, high = np.percentile(events, (25, 75))
-    width = 2.0 * float(high - low) / math.cbrt(len(events))
+    finer = width = 2.0 * float(high - low) / math.cbrt(len(events))
     if not width:
         return 0.0
-    step = _step(events)
-    return _whole_steps(_resolving(events, width, step), step)
-
-
-def _resolving(events: Array, width: float, step: float) -> float:
-    """A width that shows the main peak: the quartiles may lie in a pedestal far away from it."""
-    least = max(width / _NARROWER, float(np.ptp(events)) / _MOST_BINS)
-    finer = width
+    step, least = _step(events), max(width / _NARROWER, float(np.ptp(events)) / _MOST_BINS)
     while finer >= least:
         # `main_peak` smooths over up to eight bins
         fine = _whole_steps(finer / 8, step)
@@ -209,12 +192,12 @@ def _resolving(events: Array, width: float, step: float) -> float:
         centres = centres[0] + fine * np.arange(-_MARGIN, len(centres) + _MARGIN)
         peak = main_peak(centres, np.pad(counts, _MARGIN))
         if peak is None:
-            return width
+            break
         if finer <= _COARSE * peak.width or fine == step:
-            return finer
+            return _whole_steps(finer, step)
         finer = _FINE * peak.width
     # a spike of equal numbers has no width
-    return width
+    return _whole_steps(width, step)
 
 
 def _step(events: Array) -> float:
@@ -306,14 +289,14 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
     refuse_other_columns(table)
     bad = np.flatnonzero((counts < 0) | (counts != np.floor(counts)))
     if len(bad):
-        count = float(counts[bad[0]])
+        count, thousand = float(counts[bad[0]]), 1000.0 * float(counts[bad[0]])
         problem = f"{count:.10g} counts are not a number of events"
-        mend = (
-            f"write {1000 * count:.0f}, if the point separates thousands; else correct it"
-            if _may_be_thousands(count)
-            else "write counts that are neither scaled nor subtracted: their errors are the square "
-            "roots"
-        )
+        mend = "write counts that are neither scaled nor subtracted: their errors are the square "
+        mend += "roots"
+        # three decimals, as in 8.635
+        whole = abs(thousand - round(thousand)) < 1e-6 and thousand % 10 > 0.5
+        if 1.0 <= count < 1000.0 and whole:
+            mend = f"write {thousand:.0f}, if the point separates thousands; else correct it"
         raise table.refusal(int(bad[0]), None, problem, mend)
     if len(photons) < _FEWEST_BINS:
         mend = f"a histogram has {_FEWEST_BINS} at least"
@@ -343,12 +326,6 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
         raise InputError("all bins are empty", "name another file", path=table.path)
     refuse_numbered(table)
     return (photons[::-1].copy(), counts[::-1].copy()) if falls else (photons, counts)
-
-
-def _may_be_thousands(count: float) -> bool:
-    """Whether it has three decimals, as in 8.635."""
-    thousand = 1000.0 * count
-    return 1.0 <= count < 1000.0 and abs(thousand - round(thousand)) < 1e-6 and thousand % 10 > 0.5
 
 
 def _may_be_decimals(table: DataTable) -> bool:
