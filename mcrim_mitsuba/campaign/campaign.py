@@ -261,9 +261,9 @@ class Campaign:
             if name in self.parameters or name in self.varied:
                 place = "the campaign" if name in self.parameters else "the measurements"
                 raise InputError(f"{name} is in {place} already", "remove it there", path=self.path)
-            usual = ranges[name]
-            assert usual.start is not None  # it was switched on just now
-            added[name] = CampaignParameter(name, usual.start, usual.minimum, usual.maximum)
+            start, low, high = ranges[name]
+            assert start is not None  # it was switched on just now
+            added[name] = CampaignParameter(name, start, low, high)
         return replace(self, effects=tuple(effects), parameters={**self.parameters, **added})
 
 

@@ -63,14 +63,9 @@ class CampaignParameter:
         return self.name.startswith(_SCATTERING) and self.minimum > 0.0
 
 
-@dataclass(frozen=True)
-class KnownRange:
-    """What the catalogue says of a parameter, in the scene's terms."""
-
-    #: Where its fit begins; None where its effect is not switched on: at the scene's value.
-    start: float | None
-    minimum: float
-    maximum: float
+#: What the catalogue says of a parameter, in the scene's terms: where its fit begins, None where
+#: its effect is not switched on (at the scene's value), and its bounds.
+KnownRange = tuple[float | None, float, float]
 
 
 def known_ranges(
@@ -88,7 +83,7 @@ def known_ranges(
             # an index is offset from the scene's only where its effect is asked for
             if on or (parameter.nominal is None and parameter.name in values):
                 start, low, high = parameter.range_in(values)
-                ranges[parameter.name] = KnownRange(start if on else None, low, high)
+                ranges[parameter.name] = start if on else None, low, high
     return ranges
 
 
@@ -136,13 +131,16 @@ def read_parameter(
     if isinstance(in_scene, (bool, str)):
         problem = f"{name} is {value_text(in_scene)} in the scene, not a number"
         raise table.refusal("", problem, f"remove [{key}]")
-    start = _start(given, ranges.get(name), in_scene)
+    start, known_range = given.get("start"), ranges.get(name)
+    if start is None and known_range is not None and known_range[0] is not None:
+        start = max(given.get("min", -math.inf), min(known_range[0], given.get("max", math.inf)))
+    start = next((s for s in (start, in_scene, given.get("prior")) if s is not None), None)
     if start is None:
         raise table.refusal("", f"{name} has no start value", "add start = ...")
     if fixed or ("min" in given and "max" in given):
         usual: tuple[float, float] | None = (-math.inf, math.inf)
-    elif (known_range := ranges.get(name)) is not None:
-        usual = known_range.minimum, known_range.maximum
+    elif known_range is not None:
+        usual = known_range[1:]
     else:
         usual = _usual_range(name, in_scene, given)
     if usual is None:
@@ -155,16 +153,6 @@ def read_parameter(
     )
     _refuse_what_lies_outside(table, parameter)
     return parameter
-
-
-def _start(
-    given: Mapping[str, float], usual: KnownRange | None, in_scene: float | None
-) -> float | None:
-    """The campaign's start, else the catalogue's within its bounds, the scene's or the prior."""
-    if "start" not in given and usual is not None and usual.start is not None:
-        return max(given.get("min", -math.inf), min(usual.start, given.get("max", math.inf)))
-    starts = (given.get("start"), in_scene, given.get("prior"))
-    return next((start for start in starts if start is not None), None)
 
 
 def _refuse_what_lies_outside(table: TomlTable, parameter: CampaignParameter) -> None:

@@ -141,31 +141,6 @@ class RawData:
 # Readings from histograms of photons per event: a peak for each mounting, and their mean.
 
 
-def _reduce_table(
-    table: Measurements, shape: str, below: Below, calibration: ChannelCalibration | None
-) -> tuple[list[Reading], dict[str, ReducedReading]]:
-    """All readings of a measurement file, and by label what those from histograms were made of."""
-    mountings = {
-        row.line: _mounting(table, row, shape, below, calibration)
-        for row in table.readings
-        if row.histogram is not None
-    }
-    readings, reduced = [], {}
-    for label, rows in table.by_label.items():
-        reading = rows[0]
-        if calibration is not None and reading.histogram is None and not reading.of_beam:
-            problem = (
-                f"{label} is a number beside [{schema.CALIBRATION_TABLE}], whose errors all share"
-            )
-            mend = "name its histogram, or make it a campaign of its own"
-            raise table.refusal(reading, "signal", problem, mend)
-        if reading.histogram is not None:
-            reduced[label] = _reduced_reading([mountings[row.line] for row in rows])
-            reading = reduced[label].reading
-        readings.append(reading)
-    return _sharing(readings, reduced), reduced
-
-
 def _notes_on(reduced: ReducedReading) -> Iterator[str]:
     """What is wrong with the peaks of a reading, or with their mean."""
     label = reduced.reading.label
@@ -285,8 +260,25 @@ def reduce_raw_data(
     absorption = raw_data.read_absorption(document, light, scene)
     source_depth = raw_data.read_source_depth(document)
     calibration = read_calibration(document)
-    readings, reduced = _reduce_table(table, shape, below, calibration)
-    measurements = table.with_readings(readings)
+    mountings = {
+        row.line: _mounting(table, row, shape, below, calibration)
+        for row in table.readings
+        if row.histogram is not None
+    }
+    readings, reduced = [], {}
+    for label, rows in table.by_label.items():
+        reading = rows[0]
+        if calibration is not None and reading.histogram is None and not reading.of_beam:
+            problem = (
+                f"{label} is a number beside [{schema.CALIBRATION_TABLE}], whose errors all share"
+            )
+            mend = "name its histogram, or make it a campaign of its own"
+            raise table.refusal(reading, "signal", problem, mend)
+        if reading.histogram is not None:
+            reduced[label] = _reduced_reading([mountings[row.line] for row in rows])
+            reading = reduced[label].reading
+        readings.append(reading)
+    measurements = table.with_readings(_sharing(readings, reduced))
     if not (reduced or efficiency or absorption or source_depth):
         return raw_data.with_numbers(document, {}), measurements, None
     names = [source_depth and source_depth.formula]

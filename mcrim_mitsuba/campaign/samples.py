@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -104,7 +104,18 @@ def read_samples(
             mend = f"write {name} into a column {COLUMN} of its rows, or remove {table}"
             raise declared.refusal(name, problem, mend)
     samples = {name: _read_sample(document, name, scene, measurements) for name in declared}
-    _refuse_clashes(document, samples.values(), taken)
+    # parameters must not be called as others, nor be fitted in the scene
+    for sample in samples.values():
+        key = f"{schema.SAMPLES}.{sample.name}"
+        for parameter in sample.own.values():
+            if parameter.name in taken:
+                problem = f"{parameter.name}, its own parameter, is one of the campaign already"
+                raise document.refusal(key, problem, "call the sample something else")
+        for name in sample.scene:
+            if name in document.table("parameters"):
+                problem = f"{name} is fitted, and the sample {sample.name} has its own"
+                mend = f"remove it here, or [parameters.{name}]"
+                raise document.refusal(f"{key}.{schema.SAMPLE_SCENE}.{name}", problem, mend)
     return samples, replace(
         measurements,
         readings=tuple(_completed(reading, samples, scene) for reading in measurements.readings),
@@ -191,20 +202,3 @@ def _read_scene(document: TomlDocument, key: str, scene: SceneFile) -> dict[str,
         if not isinstance(value, (bool, str)) and (wrong := judge(name, value)) is not None:
             raise table.refusal(name, f"{name} = {value:g}: {wrong[1]}", wrong[2])
     return values
-
-
-def _refuse_clashes(
-    document: TomlDocument, samples: Iterable[Sample], taken: Container[str]
-) -> None:
-    """Refuse samples whose parameters would be called as others, or are fitted in the scene."""
-    for sample in samples:
-        key = f"{schema.SAMPLES}.{sample.name}"
-        for parameter in sample.own.values():
-            if parameter.name in taken:
-                problem = f"{parameter.name}, its own parameter, is one of the campaign already"
-                raise document.refusal(key, problem, "call the sample something else")
-        for name in sample.scene:
-            if name in document.table("parameters"):
-                problem = f"{name} is fitted, and the sample {sample.name} has its own"
-                mend = f"remove it here, or [parameters.{name}]"
-                raise document.refusal(f"{key}.{schema.SAMPLE_SCENE}.{name}", problem, mend)
