@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.displacement import Curve
 from mcrim_mitsuba.inference.drivers import Minimum, newton
 from mcrim_mitsuba.inference.estimates import (
@@ -280,10 +279,18 @@ def _limit(explanations: Explanations, effect: str, name: str) -> Limit:
     (two), or beyond an end (then models are not nested, and the whole effect may be excluded).
     """
     fit, baseline = explanations.fit((effect,)), explanations.baseline
-    absent, bounds = explanations.absent(effect)[name], fit.statistic.parameter(name)
+    absences = explanations.absent(effect)
+    absent, bounds = absences[name], fit.statistic.parameter(name)
     may_be_less, may_be_more = absent > bounds.minimum, absent < bounds.maximum
     nested = bounds.minimum <= absent <= bounds.maximum
-    theta, least = _lowest(explanations, fit, explanations.absent(effect))
+    # the fit is the best of its deviance, in which larger errors of the simulation cost something;
+    # with weights that stay as they are chi2 may be lower where the effect is absent
+    theta, least, free = fit.theta, fit.chi2, {p.name: p for p in fit.statistic.free}
+    if all(n not in free or free[n].minimum <= v <= free[n].maximum for n, v in absences.items()):
+        start = fit.statistic.theta({**baseline.values, **absences})
+        at_absence, chi2, _ = newton(fit.statistic, start, fit.weights, precision=0.01)
+        if chi2 < least:
+            theta, least = at_absence, chi2
     rise = RISE_95 if may_be_less and may_be_more else ONE_SIDED_95
     if not nested:
         rise += min(baseline.chi2 - least, 0.0)
@@ -303,20 +310,3 @@ def _limit(explanations: Explanations, effect: str, name: str) -> Limit:
         delta_chi2=baseline.chi2 - fit.chi2,
         excluded=excluded,
     )
-
-
-def _lowest(
-    explanations: Explanations, fit: Minimum, absent: dict[str, float]
-) -> tuple[Array, float]:
-    """Parameters and chi2 where limits begin: the lowest with the fit's own weights.
-
-    The fit is the best of its deviance, in which larger errors of the simulation cost something;
-    with weights that stay as they are chi2 may be lower where the effect is absent.
-    """
-    best, least, free = fit.theta, fit.chi2, {p.name: p for p in fit.statistic.free}
-    if all(n not in free or free[n].minimum <= v <= free[n].maximum for n, v in absent.items()):
-        start = fit.statistic.theta({**explanations.baseline.values, **absent})
-        theta, chi2, _ = newton(fit.statistic, start, fit.weights, precision=0.01)
-        if chi2 < least:
-            best, least = theta, chi2
-    return best, least

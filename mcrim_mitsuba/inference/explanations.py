@@ -220,7 +220,17 @@ class Explanations:
         for name in names:
             values = np.array(known[name].nodes, float) + known[name].origin(self.scene)
             if not len(values):
-                values = self._nodes_by_size(effect, name)
+                # the catalogue has none: some standard errors of it
+                if name not in self._by_size:
+                    statistic, baseline = self.statistic((effect,)), self.baseline
+                    theta = statistic.theta({**baseline.values, **self.absent(effect)})
+                    slopes = statistic.model.predict(theta).signal_slopes[statistic.used]
+                    whitened = baseline.weights.whiten(slopes.T).T
+                    information = whitened.T @ whitened + np.diag(statistic.prior_weight)
+                    place = statistic.index(name)
+                    sigma = math.sqrt(inverse(information)[place, place])
+                    self._by_size[name] = theta[place] + sigma * np.array(EXPLAINING.sizes)
+                values = self._by_size[name]
             bounds = self.statistic(added).parameter(name)
             values = np.unique(np.clip(values, bounds.minimum, bounds.maximum)).tolist()
             fine = 1e-9 * (values[-1] - values[0])
@@ -228,19 +238,6 @@ class Explanations:
         while math.prod(len(axis) for axis in axes) > EXPLAINING.most_nodes:
             axes = [axis[:: max(1, len(axis) // 3)] for axis in axes]
         return [dict(zip(names, values, strict=True)) for values in product(*axes)]
-
-    def _nodes_by_size(self, effect: str, name: str) -> Array:
-        """Values of a parameter for which the catalogue has none: some standard errors of it."""
-        if name not in self._by_size:
-            statistic, baseline = self.statistic((effect,)), self.baseline
-            theta = statistic.theta({**baseline.values, **self.absent(effect)})
-            slopes = statistic.model.predict(theta).signal_slopes[statistic.used]
-            whitened = baseline.weights.whiten(slopes.T).T
-            information = whitened.T @ whitened + np.diag(statistic.prior_weight)
-            place = statistic.index(name)
-            sigma = math.sqrt(inverse(information)[place, place])
-            self._by_size[name] = theta[place] + sigma * np.array(EXPLAINING.sizes)
-        return self._by_size[name]
 
     def profile(
         self,

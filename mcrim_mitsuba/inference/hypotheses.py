@@ -7,7 +7,7 @@ the sizes of its effects, and all campaigns share the prior of the scale, so tha
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -130,7 +130,14 @@ def compare_hypotheses(
         for name, one in zip(NAMES, given, strict=False)
     }
     explained: dict[str, Explanations] = {}
-    _simulate(benches.values())
+    done: PartDoneError | None = None
+    for bench in benches.values():
+        try:
+            bench.simulate()
+        except PartDoneError as part:  # of an array job: it does its share of each before it ends
+            done = part
+    if done is not None:
+        raise done
     for name, simulations in benches.items():
         scales = next((others.scales for others in explained.values()), {})
         switched_on = {effect.name: effect for effect in simulations.campaign.switched_on}
@@ -143,18 +150,6 @@ def compare_hypotheses(
     spent = [bench.provenance() for bench in benches.values()]
     scenes = {name: each.scene_hash for name, each in zip(benches, spent, strict=True)}
     return found, spent_together(spent, notes), scenes
-
-
-def _simulate(benches: Iterable[CampaignSimulations]) -> None:
-    """Of all campaigns; a part of an array job does its share of each before it is done."""
-    done: PartDoneError | None = None
-    for bench in benches:
-        try:
-            bench.simulate()
-        except PartDoneError as part:
-            done = part
-    if done is not None:
-        raise done
 
 
 def fits_of(explained: Mapping[str, Explanations]) -> dict[str, Calibration]:
@@ -250,7 +245,18 @@ def refuse_unlike(campaigns: Sequence[Campaign]) -> None:
         raise InputError(problem, f"name two or {len(NAMES)} campaigns of the same readings")
     first, *others = campaigns
     for other in others:
-        _refuse_other_readings(first, other)
+        ours, theirs = first.measurements, other.measurements
+        mend = "let both campaigns name the same measurements"
+        for one, another in zip_longest(ours.readings, theirs.readings):
+            if another is None:
+                problem = f"{one.label} of {ours.path} is not among the readings"
+                raise InputError(problem, mend, path=theirs.path)
+            if one is None:
+                problem = f"{another.label} is not among the readings of {ours.path}"
+                raise theirs.refusal(another, None, problem, mend)
+            for name, expected, given in _differences(one, another):
+                problem = f"{name} of {another.label} is {given}, but {expected} in {ours.path}"
+                raise theirs.refusal(another, name, problem, mend)
         if _of_scale(first) != _of_scale(other):
             raise InputError(
                 f"the scale is not treated as in {first.path}",
@@ -264,22 +270,6 @@ def _of_scale(campaign: Campaign) -> tuple[float | None, ...]:
     known = campaign.scale or UNKNOWN_SCALE
     held = known.start if known.fixed else None
     return known.minimum, known.maximum, known.prior, known.prior_sigma, held
-
-
-def _refuse_other_readings(first: Campaign, other: Campaign) -> None:
-    """Refuse campaigns that are not of the same readings, which cannot be compared."""
-    ours, theirs = first.measurements, other.measurements
-    mend = "let both campaigns name the same measurements"
-    for one, another in zip_longest(ours.readings, theirs.readings):
-        if another is None:
-            problem = f"{one.label} of {ours.path} is not among the readings"
-            raise InputError(problem, mend, path=theirs.path)
-        if one is None:
-            problem = f"{another.label} is not among the readings of {ours.path}"
-            raise theirs.refusal(another, None, problem, mend)
-        for name, expected, given in _differences(one, another):
-            problem = f"{name} of {another.label} is {given}, but {expected} in {ours.path}"
-            raise theirs.refusal(another, name, problem, mend)
 
 
 def _differences(one: Reading, another: Reading) -> Iterator[tuple[str, str, str]]:

@@ -73,14 +73,6 @@ class Design:
         )
 
 
-def _mixture(weighed: WeighedSets) -> tuple[Array, Array, Array]:
-    """Shares, means and standard deviations of ln(scale), of sets that matter."""
-    shares = softmax(weighed.log_weights)
-    likely = shares > REHEARSALS.least_share
-    sigmas = np.sqrt(np.maximum(weighed.variances[likely], 1e-16))
-    return shares[likely] / shares[likely].sum(), weighed.log_scales[likely], sigmas
-
-
 # ---- an effect withheld ----
 
 
@@ -132,7 +124,10 @@ def _held_by(ratios: Array, shares: Array, p_unnamed: float, width: float) -> fl
 
 def _missed_by(weighed: WeighedSets, log_scale: float) -> tuple[float, float]:
     """How far the median is from the truth, over the half intervals that hold 95 and 68 %."""
-    mixture = _mixture(weighed)
+    shares = softmax(weighed.log_weights)
+    likely = shares > REHEARSALS.least_share  # sets that matter
+    sigmas = np.sqrt(np.maximum(weighed.variances[likely], 1e-16))
+    mixture = shares[likely] / shares[likely].sum(), weighed.log_scales[likely], sigmas
     lower_95, lower, median, upper, upper_95 = (quantile(*mixture, part) for part in QUANTILES)
     missed = log_scale - median
     if missed > 0.0:

@@ -223,7 +223,16 @@ class CampaignSimulations:
         precise = frozenset[str]() if self._models is None else self._models.precise
         precise |= {e.name for e in wanted if e.name not in look or e.reading is not None}
         if self._models is None and self.maker.looks and self.campaign.tolerances:
-            self._look_beyond(wanted)
+            # tolerances are simulated on what is then known to be wide enough: they take as long
+            without = replace(self.campaign, tolerances=())
+            of_bench = self.maker.make(wanted, tolerances=False)
+            models = CampaignModels(
+                campaign=without, responses=of_bench, anchor=None, precise=frozenset()
+            )
+            beyond = self._goes_beyond(find_minima(Statistic(models.model()))[0])
+            if beyond != self._beyond:
+                self._beyond = beyond
+                del self.maker
         self._models = CampaignModels(
             campaign=self.campaign,
             responses=self.maker.make(wanted, set(look) - precise),
@@ -243,23 +252,6 @@ class CampaignSimulations:
             self._anchor = fit.model.anchor
             self._models = replace(self._models, anchor=self._anchor)
         return self._models
-
-    def _look_beyond(self, wanted: Sequence[Effect]) -> None:
-        """Let simulations cover what the readings ask for by the bench's own numbers alone.
-
-        Tolerances are simulated on what is then known to be wide enough: they take as long.
-        """
-        without = replace(self.campaign, tolerances=())
-        models = CampaignModels(
-            campaign=without,
-            responses=self.maker.make(wanted, tolerances=False),
-            anchor=None,
-            precise=frozenset(),
-        )
-        beyond = self._goes_beyond(find_minima(Statistic(models.model()))[0])
-        if beyond != self._beyond:
-            self._beyond = beyond
-            del self.maker
 
     def _goes_beyond(self, minimum: Minimum) -> Beyond:
         """At which ends the readings ask for scattering that the simulations do not cover.
@@ -625,7 +617,30 @@ def _buildable(campaign: Campaign) -> list[dict[str, Value]]:
         if not given:
             return []
         return [dict(zip(given, values, strict=True)) for values in product(*given.values())]
-    values = _values_of_bench(campaign)
+    # the scene's own values, those of the campaign's readings, and usual ones beside the scene's
+    scene, columns = campaign.scene.parameters, campaign.measurements.columns
+    width = next((float(scene[name]) for name in CRYSTAL_WIDTHS if name in scene), 0.0)
+    widest = USUAL.widest_mask * float(scene.get(WINDOW, width))
+    usual: dict[str, list[float]] = {
+        GAP_INDEX: [],
+        APERTURE: [part * width for part in USUAL.masks if 0.0 < part * width <= widest],
+        GAP: [factor * float(scene.get(GAP, 0.0)) for factor in USUAL.gaps],
+    }
+    for name in CRYSTAL_LENGTHS:
+        usual[name] = [factor * float(scene.get(name, 0.0)) for factor in USUAL.crystals]
+    sizes = [*usual, *(name for name in columns if name.endswith("_mm") and name not in usual)]
+    readings = [each for each in campaign.measurements.readings if not each.of_beam]
+    values = {
+        name: sorted(
+            {
+                float(scene[name]),
+                *(float(f"{value:.3g}") for value in usual.get(name, ())),
+                *(float(each.parameters.get(name, scene[name])) for each in readings),
+            }
+        )
+        for name in sizes
+        if name in scene
+    }
     couplings, masks = values.pop(GAP_INDEX, []), values.pop(APERTURE, [])
     further = (
         n for n in USUAL.liquids if couplings and all(abs(n - m) > USUAL.alike for m in couplings)
@@ -654,36 +669,6 @@ def _combinations(axes: Mapping[str, Sequence[float]]) -> list[dict[str, Value]]
     """All combinations of values of those parameters that have any."""
     axes = {name: values for name, values in axes.items() if values}
     return [dict(zip(axes, values, strict=True)) for values in product(*axes.values()) if axes]
-
-
-def _values_of_bench(campaign: Campaign) -> dict[str, list[float]]:
-    """What the laboratory can give to the bench's gap and lengths, in rising order.
-
-    The scene's own values, those of the campaign's readings, and usual ones beside the scene's.
-    """
-    scene, columns = campaign.scene.parameters, campaign.measurements.columns
-    width = next((float(scene[name]) for name in CRYSTAL_WIDTHS if name in scene), 0.0)
-    widest = USUAL.widest_mask * float(scene.get(WINDOW, width))
-    usual: dict[str, list[float]] = {
-        GAP_INDEX: [],
-        APERTURE: [part * width for part in USUAL.masks if 0.0 < part * width <= widest],
-        GAP: [factor * float(scene.get(GAP, 0.0)) for factor in USUAL.gaps],
-    }
-    for name in CRYSTAL_LENGTHS:
-        usual[name] = [factor * float(scene.get(name, 0.0)) for factor in USUAL.crystals]
-    sizes = [*usual, *(name for name in columns if name.endswith("_mm") and name not in usual)]
-    readings = [each for each in campaign.measurements.readings if not each.of_beam]
-    return {
-        name: sorted(
-            {
-                float(scene[name]),
-                *(float(f"{value:.3g}") for value in usual.get(name, ())),
-                *(float(each.parameters.get(name, scene[name])) for each in readings),
-            }
-        )
-        for name in sizes
-        if name in scene
-    }
 
 
 def _beams(campaign: Campaign) -> list[dict[str, Value]]:

@@ -234,12 +234,6 @@ class Statistic:
         self.start = np.array([0.0 if math.isnan(p.start) else p.start for p in self.free])
         # relative covariance of what no parameter explains
         self._unexplained: Array | None = None
-        self._set_readings()
-        self._set_priors()
-        self._set_coordinates()
-
-    def _set_readings(self) -> None:
-        """The readings in use, their errors, and the scales and mountings that they share."""
         #: (readings,) Which of the model's readings the statistic uses.
         self.used = np.array([reading.use for reading in self.model.readings])
         used = [reading for reading in self.model.readings if reading.use]
@@ -261,9 +255,6 @@ class Statistic:
         self._of_light = np.array([not reading.of_beam for reading in used], bool)
         groups = [reading.group or "" for reading in used]
         self._mountings = np.unique(groups, return_inverse=True)[1]
-
-    def _set_priors(self) -> None:
-        """Priors, and their rows of slopes of the residuals."""
         #: (free,) The weight is 1 / sigma^2; both are 0 without a prior.
         self.prior = np.array([0.0 if p.prior is None else p.prior for p in self.free])
         self.prior_weight = np.array(
@@ -273,6 +264,7 @@ class Statistic:
         self._prior_roots = np.sqrt(self.prior_weight[self._priors])
         self._prior_rows = np.zeros((1 + len(self.free), len(self._priors)))
         self._prior_rows[1 + self._priors, np.arange(len(self._priors))] = -self._prior_roots
+        self._set_coordinates()
 
     def _set_coordinates(self) -> None:
         """In which coordinate each parameter is searched, and its bounds there."""

@@ -240,7 +240,18 @@ class _Weigher:
         causes = [cause_of(explanations, name, curve) for name, curve in null.curves.items()]
         causes += wrong_readings(null.frame, self._readings)
         self._log_odds_of = {cause.name: cause.log_odds for cause in causes}
-        self._excluded = self._excluding()
+        # which two causes cannot be there together
+        readings = [set(wrong.rows) for wrong in self._readings.values()]
+        effects, count = self._explanations.effects, len(self._effects)
+        excluded = np.zeros((count + len(readings),) * 2, bool)
+        for i, one in enumerate(self._effects):
+            for j, other in enumerate(self._effects[:i]):
+                refused = one in effects[other].excludes or other in effects[one].excludes
+                excluded[i, j] = excluded[j, i] = refused
+        for i, one_row in enumerate(readings):
+            for j, other_row in enumerate(readings):
+                excluded[count + i, count + j] = i != j and bool(one_row & other_row)
+        self._excluded = excluded
         self.design = Design(
             frame=null.frame,
             curves=null.curves,
@@ -312,20 +323,6 @@ class _Weigher:
         self._log_weights[places] = own.log_weight + (sets.log_weights - sets.log_weights[0])[there]
         self._log_scales[places] = own.log_scale + sets.log_scales[there]
         self._variances[places] = sets.variances[there]
-
-    def _excluding(self) -> NDArray[np.bool_]:
-        """Which two causes cannot be there together."""
-        readings = [set(wrong.rows) for wrong in self._readings.values()]
-        effects, count = self._explanations.effects, len(self._effects)
-        excluded = np.zeros((count + len(readings),) * 2, bool)
-        for i, one in enumerate(self._effects):
-            for j, other in enumerate(self._effects[:i]):
-                refused = one in effects[other].excludes or other in effects[one].excludes
-                excluded[i, j] = excluded[j, i] = refused
-        for i, one_row in enumerate(readings):
-            for j, other_row in enumerate(readings):
-                excluded[count + i, count + j] = i != j and bool(one_row & other_row)
-        return excluded
 
     def place_of(self, effects: tuple[str, ...]) -> int:
         """Of a set of none or one effect in plain surroundings."""
