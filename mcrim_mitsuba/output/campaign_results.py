@@ -174,6 +174,9 @@ class DiagnosisResult(CampaignShown, Diagnosis):
         return super().pictures if lower else super().pictures[:1]
 
 
+_OF_MENDED_FIT = ("parameters", "chi2", "ndf", "p_value", "rows", "notes")
+
+
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class RepairResult(FittedResult, Diagnosis):
     """A mended campaign: what was added, its fit, and the diagnosis before."""
@@ -182,8 +185,12 @@ class RepairResult(FittedResult, Diagnosis):
     effects: tuple[str, ...]
     #: Of the mended campaign, its effects simulated together where the fit ends.
     calibration: Calibration
-    #: Those of `calibration`.
+    #: Those of `calibration`, as are chi2 and the readings beside its predictions.
     parameters: Mapping[str, ParameterEstimate]
+    chi2: float
+    ndf: int
+    p_value: float | None
+    rows: tuple[FittedRow, ...]
     #: What was written; None where nothing was added.
     campaign_path: Path | None
     scene_path: Path | None
@@ -194,7 +201,8 @@ class RepairResult(FittedResult, Diagnosis):
     def of_repair(cls, repaired: Repaired, campaign: Campaign, **further: Any) -> Self:
         """The result of a repair; `further` are fields of a subclass, and such as differ."""
         names = "effects campaign_path scene_path undetermined calibration=fit provenance "
-        fields = attributes(repaired, names + "parameters=fit.parameters notes=fit.notes")
+        names += " ".join(f"{of_fit}=fit.{of_fit}" for of_fit in _OF_MENDED_FIT)
+        fields = attributes(repaired, names)
         return cls.of(repaired.diagnosis, campaign, **fields | further)
 
     @property
@@ -206,26 +214,6 @@ class RepairResult(FittedResult, Diagnosis):
     def added(self) -> str:
         """The effects that were added, in words."""
         return sentences.in_words(self, self.effects) if self.effects else ""
-
-    @property
-    def chi2(self) -> float:
-        """Of the fit of the mended campaign."""
-        return self.calibration.chi2
-
-    @property
-    def ndf(self) -> int:
-        """Of the fit of the mended campaign."""
-        return self.calibration.ndf
-
-    @property
-    def p_value(self) -> float | None:
-        """Of the fit of the mended campaign."""
-        return self.calibration.p_value
-
-    @property
-    def rows(self) -> tuple[FittedRow, ...]:
-        """Readings beside the predictions of the mended campaign."""
-        return self.calibration.rows
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

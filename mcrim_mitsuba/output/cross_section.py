@@ -115,11 +115,7 @@ class SectionAxes:
         #: Of each cell: the volume there, 0 for air; what labels must and what they should avoid.
         self.owner, self.taken = np.zeros(shape, dtype=int), np.zeros(shape, dtype=bool)
         self.crossed = np.zeros(shape, dtype=bool)
-        self._fill_volumes(colours)
-        self._draw_faces(interfaces)
-
-    def _fill_volumes(self, colours: Sequence[str]) -> None:
-        """Colour the volumes, and note which cells they have."""
+        # colour the volumes, and note which cells they have
         rows, columns = (places + 0.5 for places in np.ogrid[*map(slice, self.owner.shape)])
         for region in self.cut.regions:
             self.ax.fill(*region.outline.T, color=colours[region.volume % len(colours) - 1], lw=0.2)
@@ -131,6 +127,7 @@ class SectionAxes:
                 for edge in (lower, upper[::-1])
             )
             self.owner[(low < rows) & (rows < high)] = region.volume
+        self._draw_faces(interfaces)
 
     def _draw_faces(self, interfaces: Sequence[Interface]) -> None:
         """Draw lines where the plane cuts faces, hatched behind reflectors, and the black mask."""

@@ -364,11 +364,21 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
     of the mended campaign, its effects simulated together; steps add the effects' responses.
     """
     stairs = list(steps) if final is None else [*steps[:-1], final_step(steps[-1], final)]
-    numbers = _staircase_numbers(stairs)
+    # a step a row: its fit, and three parameters with their errors, empty where it lacks them
+    names = "step added final_simulation chi2 ndf delta_chi2_sigma p_value rms_pull left_out_error"
+    columns, rows = style.numbers_of(
+        stairs, names, final_simulation=lambda step: isinstance(step, FinalStep)
+    )
+    for name, stem in ((LIGHT_YIELD, "light_yield"), (SCALE, "scale"), (ALPHA_SCAT, "alpha_scat")):
+        columns += [name, f"{stem}_sigma"]
+        estimates = [step.parameters.get(name) for step in stairs]
+        cells = [(e.value, e.sigma) if e else (None, None) for e in estimates]
+        rows = [(*row, *pair) for row, pair in zip(rows, cells, strict=True)]
     if len(stairs) == 1:  # dots in empty frames would say no more
         step = stairs[0]
         words = f"nothing was added: χ² = {number(step.chi2)}, ndf {step.ndf}"
-        return style.Drawing(style.sentence_instead(f"{words}, {p_equals(step.p_value)}"), *numbers)
+        sentence = style.sentence_instead(f"{words}, {p_equals(step.p_value)}")
+        return style.Drawing(sentence, columns, rows)
     # a campaign without an absolute light yield has a scale
     light_or_scale = LIGHT_YIELD if any(LIGHT_YIELD in s.parameters for s in stairs) else SCALE
     count = 1 + any(light_or_scale in step.parameters for step in stairs)
@@ -385,25 +395,11 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
         _stairs(axes, stairs, heights, [estimate_text(e) if e else "" for e in estimates], errors)
     # as wide as a step of a panel, its part of the figure less its margin
     letters = int((width / count - 0.8) / len(stairs) / _STEP_PER_CHARACTER)
-    names = [style.in_lines(added_text(step), letters, 4) for step in stairs]
+    titles = [style.in_lines(added_text(step), letters, 4) for step in stairs]
     for axes in panels:
-        axes.set_xticks(range(len(names)), names, fontsize=10, parse_math=False)
-        axes.set_xlim(-0.5, len(names) - 0.5)
-    return style.Drawing(figure, *numbers)
-
-
-def _staircase_numbers(stairs: Sequence[RepairStep]) -> style.Numbers:
-    """A step a row: its fit, and three parameters with their errors, empty where it lacks them."""
-    names = "step added final_simulation chi2 ndf delta_chi2_sigma p_value rms_pull left_out_error"
-    columns, rows = style.numbers_of(
-        stairs, names, final_simulation=lambda step: isinstance(step, FinalStep)
-    )
-    for name, stem in ((LIGHT_YIELD, "light_yield"), (SCALE, "scale"), (ALPHA_SCAT, "alpha_scat")):
-        columns += [name, f"{stem}_sigma"]
-        estimates = [step.parameters.get(name) for step in stairs]
-        cells = [(e.value, e.sigma) if e else (None, None) for e in estimates]
-        rows = [(*row, *pair) for row, pair in zip(rows, cells, strict=True)]
-    return columns, rows
+        axes.set_xticks(range(len(titles)), titles, fontsize=10, parse_math=False)
+        axes.set_xlim(-0.5, len(titles) - 0.5)
+    return style.Drawing(figure, columns, rows)
 
 
 def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:

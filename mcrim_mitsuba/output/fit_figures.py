@@ -339,8 +339,14 @@ _HIGH = 3.3
 _TOP = CURVE.end + 0.6
 
 
-def _profiles_numbers(profiles: Sequence[Profile]) -> style.Numbers:
-    """The curves' points, then where they cross the levels."""
+def _parabola(profile: Profile, values: np.ndarray) -> np.ndarray:
+    """The rise of chi2 that the standard error alone would have."""
+    return ((values - profile.value) / profile.sigma) ** 2
+
+
+@style.styled
+def draw_profiles(profiles: Sequence[Profile]) -> style.Drawing:
+    """Profile likelihoods, a panel each: by how much chi2 rises over a parameter's values."""
     rows = []
     for profile in profiles:
         # what the point is, the parameter's value there, and by how much chi2 is above its least
@@ -352,18 +358,7 @@ def _profiles_numbers(profiles: Sequence[Profile]) -> style.Numbers:
             if value is not None
         ]
         rows += [(profile.name, *point, _parabola(profile, point[1])) for point in points]
-    return ("parameter", "point", "value", "delta_chi2", "delta_chi2_parabola"), rows
-
-
-def _parabola(profile: Profile, values: np.ndarray) -> np.ndarray:
-    """The rise of chi2 that the standard error alone would have."""
-    return ((values - profile.value) / profile.sigma) ** 2
-
-
-@style.styled
-def draw_profiles(profiles: Sequence[Profile]) -> style.Drawing:
-    """Profile likelihoods, a panel each: by how much chi2 rises over a parameter's values."""
-    numbers = _profiles_numbers(profiles)
+    numbers = ("parameter", "point", "value", "delta_chi2", "delta_chi2_parabola"), rows
     if not profiles:
         sentence = style.sentence_instead("nothing was fitted: there is no profile to draw")
         return style.Drawing(sentence, *numbers)

@@ -177,7 +177,36 @@ _PEDESTAL_WIDTHS = 8.0
 @style.styled
 def draw_calibration(histograms: Sequence[Histogram]) -> style.Drawing:
     """What calibrates histograms in channels: a panel for each step that there is."""
-    steps = _calibration_steps([h for h in histograms if isinstance(h, CalibratedHistogram)])
+    calibrated = [h for h in histograms if isinstance(h, CalibratedHistogram)]
+    first, calibration = calibrated[0], calibrated[0].calibration
+    #: Curves of every step by its name and its unit; pedestals have the height 1.
+    steps: dict[tuple[str, str], list[_Curve]] = {}
+    gain, pedestal, run = calibration.gain, calibration.pedestal, calibration.pedestal_run
+    if gain.spectrum is not None and gain.fit is not None:
+        filled = np.flatnonzero(gain.spectrum.counts)
+        inside = slice(filled[0], filled[-1] + 1)
+        channels, counts = gain.spectrum.channels[inside], gain.spectrum.counts[inside]
+        curves = [(gain.spectrum.path.name, channels, counts)]
+        if gain.fit.spread is not None:
+            words = f"{pdg(gain.value, gain.sigma)} channels per photoelectron"
+            curves.append((words, channels, np.diff(gain.fit.counts_below(_edges(channels)))))
+        steps[_SINGLE, "channel"] = curves
+    runs = [(h.spectrum, h.pedestal) for h in calibrated[:_MOST_PEDESTALS]]
+    if run is not None and pedestal is not None:
+        runs = [(run, pedestal)]
+    curves = []
+    for spectrum, at in runs:
+        reach = _PEDESTAL_WIDTHS * max(at.width or 0.0, 1.0)
+        near = np.abs(spectrum.channels - at.position) < reach
+        events = spectrum.counts[near] / max(float(spectrum.counts[near].max(initial=0.0)), 1.0)
+        words = f"{spectrum.path.name}: {pdg(at.position, at.sigma or None)}"
+        curves.append((words, spectrum.channels[near], events))
+    steps[_PEDESTAL, "channel"] = curves
+    if first.background is not None:
+        whole = (first.path.name, first.photons, first.counts + first.background)
+        under = ("background in its live time", first.photons, first.background)
+        difference = ("difference", first.photons, first.counts)
+        steps[_BACKGROUND_STEP, "photoelectrons"] = [whole, under, difference]
     figure = style.canvas(7.2, 0.6 + 3.2 * len(steps))
     panels = figure.subplots(len(steps), 1, squeeze=False)[:, 0]
     rows: list[Sequence[object]] = []
@@ -197,44 +226,6 @@ def draw_calibration(histograms: Sequence[Histogram]) -> style.Drawing:
         style.open_axes(axes)
         style.legend(axes, loc="upper right")
     return style.Drawing(figure, "step spectrum place events".split(), rows)
-
-
-def _calibration_steps(
-    histograms: Sequence[CalibratedHistogram],
-) -> dict[tuple[str, str], list[_Curve]]:
-    """Curves of every step by its name and its unit; pedestals have the height 1."""
-    first, steps = histograms[0], {}
-    calibration = first.calibration
-    gain, pedestal, run = calibration.gain, calibration.pedestal, calibration.pedestal_run
-    if gain.spectrum is not None and gain.fit is not None:
-        filled = np.flatnonzero(gain.spectrum.counts)
-        inside = slice(filled[0], filled[-1] + 1)
-        channels, counts = gain.spectrum.channels[inside], gain.spectrum.counts[inside]
-        curves = [(gain.spectrum.path.name, channels, counts)]
-        if gain.fit.spread is not None:
-            words = f"{pdg(gain.value, gain.sigma)} channels per photoelectron"
-            curves.append((words, channels, np.diff(gain.fit.counts_below(_edges(channels)))))
-        steps[_SINGLE, "channel"] = curves
-    runs = [(h.spectrum, h.pedestal) for h in histograms[:_MOST_PEDESTALS]]
-    if run is not None and pedestal is not None:
-        runs = [(run, pedestal)]
-    curves = []
-    for spectrum, at in runs:
-        reach = _PEDESTAL_WIDTHS * max(at.width or 0.0, 1.0)
-        near = np.abs(spectrum.channels - at.position) < reach
-        events = spectrum.counts[near] / max(float(spectrum.counts[near].max(initial=0.0)), 1.0)
-        words = f"{spectrum.path.name}: {pdg(at.position, at.sigma or None)}"
-        curves.append((words, spectrum.channels[near], events))
-    steps[_PEDESTAL, "channel"] = curves
-    if first.background is not None:
-        whole = (first.path.name, first.photons, first.counts + first.background)
-        under = ("background in its live time", first.photons, first.background)
-        steps[_BACKGROUND_STEP, "photoelectrons"] = [
-            whole,
-            under,
-            ("difference", first.photons, first.counts),
-        ]
-    return steps
 
 
 def _edges(centres: np.ndarray) -> np.ndarray:

@@ -106,8 +106,29 @@ def draw_arrival(lights: Lights) -> style.Drawing:
         # per radian sin(2 a) / sin(most)^2, whose integral is 1
         law = np.sin(2 * np.radians(angle)) / np.sin(np.radians(most)) ** 2 * np.radians(1.0)
         angular.plot(angle, _UNIT * light.eta * law, color=colour, lw=1.0, ls=_LAW)
-    _finish_radial(radial, lights)
-    _finish_angular(angular, lights)
+    ends = []
+    for _, light in lights:
+        # where next to no light arrives beyond, and a bin more
+        inside = np.cumsum(light.radius.light) < 0.9999 * light.radius.light.sum()
+        ends.append(light.radius_edges_mm[1:][min(inside.sum() + 1, len(inside) - 1)])
+    radial.set_xlabel("distance from the detector's centre (mm)")
+    radial.set_ylabel("detected light\n(10⁻³ of the emitted light per mm²)")
+    radial.set(xlim=(0, max(ends)), ylim=(0, None))
+    style.open_axes(radial)
+    style.legend_above(radial, ncols=2 if len(lights) > 2 else 1, handlelength=2.6)
+    angular.set_xlabel("angle to the detector's normal, in the window (°)")
+    angular.set_ylabel("detected light\n(10⁻³ of the emitted light per degree)")
+    angular.set(xlim=(0, 90), xticks=range(0, 91, 15), ylim=(0, None))
+    style.open_axes(angular)
+    label = "as much light by Lambert's law"
+    handles = [Line2D([], [], color=style.GREY, lw=1.0, ls=_LAW, label=label)]
+    largest = sorted({round(x.largest_angle_deg, 1) for _, x in lights if x.largest_angle_deg})
+    for degrees in largest:
+        angular.axvline(degrees, **_LIMIT)
+    if largest:
+        words = " and ".join(f"{degrees:g}°" for degrees in largest)
+        handles.append(Line2D([], [], label=f"largest angle after refraction: {words}", **_LIMIT))
+    style.legend_above(angular, handles, ncols=1, handlelength=2.6)
     return style.Drawing(figure, *_arrival_numbers(lights))
 
 
@@ -154,37 +175,6 @@ def _draw_steps(
     axes.fill_between(edges, low, high, step="post", color=look["color"], alpha=0.25, lw=0)
 
 
-def _finish_radial(axes: Axes, lights: Lights) -> None:
-    """Axes and legend of light by its distance from the detector's centre."""
-    ends = []
-    for _, light in lights:
-        # where next to no light arrives beyond, and a bin more
-        inside = np.cumsum(light.radius.light) < 0.9999 * light.radius.light.sum()
-        ends.append(light.radius_edges_mm[1:][min(inside.sum() + 1, len(inside) - 1)])
-    axes.set_xlabel("distance from the detector's centre (mm)")
-    axes.set_ylabel("detected light\n(10⁻³ of the emitted light per mm²)")
-    axes.set(xlim=(0, max(ends)), ylim=(0, None))
-    style.open_axes(axes)
-    style.legend_above(axes, ncols=2 if len(lights) > 2 else 1, handlelength=2.6)
-
-
-def _finish_angular(axes: Axes, lights: Lights) -> None:
-    """Axes and legend of light by its angle, with the largest angle after refraction."""
-    axes.set_xlabel("angle to the detector's normal, in the window (°)")
-    axes.set_ylabel("detected light\n(10⁻³ of the emitted light per degree)")
-    axes.set(xlim=(0, 90), xticks=range(0, 91, 15), ylim=(0, None))
-    style.open_axes(axes)
-    label = "as much light by Lambert's law"
-    handles = [Line2D([], [], color=style.GREY, lw=1.0, ls=_LAW, label=label)]
-    angles = sorted({round(x.largest_angle_deg, 1) for _, x in lights if x.largest_angle_deg})
-    for angle in angles:
-        axes.axvline(angle, **_LIMIT)
-    if angles:
-        words = " and ".join(f"{angle:g}°" for angle in angles)
-        handles.append(Line2D([], [], label=f"largest angle after refraction: {words}", **_LIMIT))
-    style.legend_above(axes, handles, ncols=1, handlelength=2.6)
-
-
 # Where light is born: slices of a map, and how eta is spread over where gammas stop.
 
 #: Horizontal slices that are shown.
@@ -225,30 +215,26 @@ def draw_map(mapped: EtaMap, spreads: Sequence[Spread]) -> style.Drawing:
     heights.errorbar(100.0 * eta, mapped.centres_mm[2], xerr=100.0 * sigma, **look)
     heights.set(xlabel="η (%) of a slice", ylabel="z (mm)", ylim=z[[0, -1]])
     style.open_axes(heights)
-    _draw_spreads(figure.add_subplot(grid[1, 4:]), mapped, spreads)
-    columns = {"volume": mapped.volume, "eta": mapped.eta, "eta_sigma": mapped.eta_sigma}
-    centres = np.meshgrid(*mapped.centres_mm, indexing="ij")
-    columns = dict(zip(("x_mm", "y_mm", "z_mm"), centres, strict=True)) | columns
-    there = mapped.volume > 0.0
-    numbers = style.numbers_in({name: cells[there] for name, cells in columns.items()})
-    return style.Drawing(figure, *numbers)
-
-
-def _draw_spreads(axes: Axes, mapped: EtaMap, spreads: Sequence[Spread]) -> None:
-    """What gammas see: eta of where they stop, by how much of the light is from there."""
-    eta = mapped.eta[mapped.volume > 0.0]
-    noise = 100.0 * np.median(mapped.eta_sigma[mapped.volume > 0.0])
-    edges = np.linspace(100.0 * eta.min(), 100.0 * eta.max(), 36)
+    # what gammas see: eta of where they stop, by how much of the light is from there
+    there, axes = mapped.volume > 0.0, figure.add_subplot(grid[1, 4:])
+    percent = 100.0 * mapped.eta[there]
+    edges = np.linspace(percent.min(), percent.max(), 36)
     for spread, colour, dashes in zip(spreads, _COLOURS, _LINES, strict=False):
-        light = spread.light[mapped.volume > 0.0]
-        percent = np.histogram(100.0 * eta, edges, weights=100.0 * light / light.sum())[0]
+        light = spread.light[there]
+        per_bin = np.histogram(percent, edges, weights=100.0 * light / light.sum())[0]
         fwhm = pdg(100.0 * spread.fwhm, 100.0 * FWHM * spread.relative_rms_sigma)
         label = f"{style.shortened(spread.source, 40)}: FWHM {fwhm} %"
-        axes.stairs(percent, edges, color=colour, ls=dashes, lw=1.6, label=label)
+        axes.stairs(per_bin, edges, color=colour, ls=dashes, lw=1.6, label=label)
+    noise = 100.0 * np.median(mapped.eta_sigma[there])
     title = f"η (%) where gammas stop\n(each ±{noise:.2g} by the simulation)"
     axes.set(xlabel=title, ylabel="light (% per bin)", ylim=(0, None))
     style.open_axes(axes)
     style.legend_above(axes, ncols=1, handlelength=2.6)
+    columns = {"volume": mapped.volume, "eta": mapped.eta, "eta_sigma": mapped.eta_sigma}
+    centres = np.meshgrid(*mapped.centres_mm, indexing="ij")
+    columns = dict(zip(("x_mm", "y_mm", "z_mm"), centres, strict=True)) | columns
+    numbers = style.numbers_in({name: cells[there] for name, cells in columns.items()})
+    return style.Drawing(figure, *numbers)
 
 
 # Wavelengths: eta, what it depends on, and the light that is left.

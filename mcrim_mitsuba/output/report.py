@@ -32,7 +32,7 @@ from mcrim_mitsuba.core.rounding import number, pdg, short_text
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.diagnose import final_step
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
-from mcrim_mitsuba.inference.repair import Repaired, repair
+from mcrim_mitsuba.inference.repair import repair
 from mcrim_mitsuba.output import describe_campaign, describe_laboratory, sentences
 from mcrim_mitsuba.output import figure_style as style
 from mcrim_mitsuba.output.budget_figures import draw_budget
@@ -359,7 +359,17 @@ def report(
     refuse_output(output, [campaign] if isinstance(campaign, (str, Path)) else [])
     repaired = repair(campaign, run=run)
     if effects is not None and set(effects) != set(repaired.effects):
-        repaired = _mended_with(repaired, tuple(effects))
+        # the same campaign mended with other effects
+        simulations, diagnosis = repaired.simulations, repaired.diagnosis
+        chosen = tuple(effects)
+        candidate = diagnosis.candidate(chosen)
+        # from where the diagnosis found them, if it tried them
+        starts = {n: size.value for n, size in candidate.parameters.items()} if candidate else None
+        # all effects as the diagnosis had them: those that are added in full, others at a look
+        every_effect = tuple(dict.fromkeys((*diagnosis.titles, *chosen)))
+        simulations.simulate(every_effect, look=set(every_effect) - {*chosen})
+        fit, provenance = simulations.settled_fit(chosen, starts), simulations.provenance()
+        repaired = replace(repaired, effects=chosen, fit=fit, provenance=provenance)
     done = itertools.count(1)
 
     def stage(what: str) -> None:
@@ -385,19 +395,6 @@ def refuse_output(output: str | Path, inputs: Sequence[str | Path]) -> None:
         if "<html" not in beginning and "<!doctype html" not in beginning:
             problem = "--output would replace a file that is no HTML page"
             raise InputError(problem, "name another", path=path)
-
-
-def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:
-    """The same campaign mended with other effects."""
-    simulations, diagnosis = repaired.simulations, repaired.diagnosis
-    candidate = diagnosis.candidate(effects)
-    # from where the diagnosis found them, if it tried them
-    starts = {n: size.value for n, size in candidate.parameters.items()} if candidate else {}
-    # all effects as the diagnosis had them: those that are added in full, others at a look
-    every_effect = tuple(dict.fromkeys((*diagnosis.titles, *effects)))
-    simulations.simulate(every_effect, look=set(every_effect) - {*effects})
-    fit = simulations.settled_fit(effects, starts or None)
-    return replace(repaired, effects=effects, fit=fit, provenance=simulations.provenance())
 
 
 def _command(campaign: Path, output: str | Path, run: Run) -> str:
