@@ -44,15 +44,14 @@ def _chi2_text(chi2: float) -> str:
     return number(chi2) if chi2 >= _NO_CHI2 else "0"
 
 
-def _compound_id(kind: str, name: str) -> str:
-    """The id of a parameter's `slider`, `number` and `known`, or of an `effect`'s switch."""
-    return json.dumps({"kind": kind, "name": name}, sort_keys=True, separators=(",", ":"))
-
-
 _TEMPLATES = environment(jinja2.FileSystemLoader(Path(__file__).parent / "templates"))
 _TEMPLATES.filters |= {"chi2": _chi2_text, "probability": probability}
 _TEMPLATES.filters |= {"p": p_text, "p_equals": p_equals}
-_TEMPLATES.globals |= {"id_of": _compound_id, "steps": _SLIDER_STEPS}
+_TEMPLATES.globals |= {
+    # of a parameter's `slider`, `number` and `known`, or of an `effect`'s switch
+    "id_of": lambda kind, name: json.dumps({"kind": kind, "name": name}, separators=(",", ":")),
+    "steps": _SLIDER_STEPS,
+}
 _TEMPLATES.globals |= {"sentences": sentences, "describe": describe_campaign, "pdg": pdg}
 
 
