@@ -241,7 +241,11 @@ def index(material, wavelength_nm, emission, json_file) -> None:
     if wavelength_nm is not None and emission is not None:
         raise InputError("both --nm and --emission are given", "leave one of them out")
     if material is not None and SEPARATOR in material:
-        material, wavelength_nm, emission = _as_in_scenes(material, wavelength_nm, emission)
+        if typed := "--nm" if wavelength_nm is not None else "--emission" if emission else None:
+            raise InputError(f"{material} and {typed} are given", "leave one of them out")
+        crystal, where = material_at(f"'{material}'", material)
+        material = crystal.name
+        wavelength_nm, emission = (None, where) if isinstance(where, str) else (where, None)
     showing.refuse_places(json_file, [] if emission is None else [emission])
     if material is None and emission is not None:
         raise InputError("--emission needs a material", "name one, such as CaMoO4")
@@ -251,16 +255,6 @@ def index(material, wavelength_nm, emission, json_file) -> None:
         nm = _USUAL_NM if wavelength_nm is None else wavelength_nm
         answer = _catalogue(nm) if material is None else _at(material, nm)
     showing.answer(answer, json_file)
-
-
-def _as_in_scenes(
-    text: str, wavelength_nm: float | None, emission: str | None
-) -> tuple[str, float | None, str | None]:
-    """Material, wavelength and emission of ``BK7@540nm`` or ``CaMoO4@emission.csv``."""
-    if option := "--nm" if wavelength_nm is not None else "--emission" if emission else None:
-        raise InputError(f"{text} and {option} are given", "leave one of them out")
-    crystal, where = material_at(f"'{text}'", text)
-    return (crystal.name, None, where) if isinstance(where, str) else (crystal.name, where, None)
 
 
 def _catalogue(wavelength_nm: float) -> VerbResult:
