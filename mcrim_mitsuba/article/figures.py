@@ -151,18 +151,7 @@ def draw_contradiction(
     """The three numbers of one crystal beside the model, and what may be missing in it."""
     figure = style.canvas(11.0, 4.4)
     axes, bars = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    _draw_three_numbers(axes, lines, contradiction)
-    _draw_explanations(bars, contradiction)
-    columns = ("explanation", "probability", "light_yield_ph_per_keV")
-    yields = contradiction.light_yields
-    rows = [(name, p, yields.get(name)) for name, p in contradiction.likeliest.items()]
-    return style.Drawing(figure, columns, rows)
-
-
-def _draw_three_numbers(
-    axes: Axes, lines: Sequence[SimulatedLine], contradiction: Contradiction
-) -> None:
-    """The measured ratio and transmittance beside what the model allows."""
+    # the measured ratio and transmittance beside what the model allows
     for line in lines:
         if line.polarised:
             continue
@@ -183,6 +172,11 @@ def _draw_three_numbers(
     axes.set_title("the article's model, whatever it scatters", fontsize=11)
     axes.legend(loc="lower left", frameon=False, fontsize=10)
     style.open_axes(axes)
+    _draw_explanations(bars, contradiction)
+    columns = ("explanation", "probability", "light_yield_ph_per_keV")
+    yields = contradiction.light_yields
+    rows = [(name, p, yields.get(name)) for name, p in contradiction.likeliest.items()]
+    return style.Drawing(figure, columns, rows)
 
 
 def _draw_explanations(axes: Axes, contradiction: Contradiction) -> None:
