@@ -16,7 +16,7 @@ from mcrim_mitsuba.effects.effect import (
     weight_of_reflections,
 )
 from mcrim_mitsuba.effects.scene_edits import crystal_box, element, set_masks, set_part
-from mcrim_mitsuba.scene.editor import Node, SceneEditor
+from mcrim_mitsuba.scene.editor import INTERFACES, Node, SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE
 
@@ -51,7 +51,7 @@ def edit_top_reflector(editor: SceneEditor) -> None:
 
 def alone_in(scene: SceneFile) -> bool:
     """Whether nothing else reflects as it does: records count all reflections together."""
-    clear = ("dielectric", "polish", "roughdielectric", "aperture", "photodetector")
+    clear = (*INTERFACES, "roughdielectric", "aperture", "photodetector")
     others = (shape for shape in scene.parts.shapes if shape.get("id") != "top_reflector")
     worn = (bsdf for shape in others for bsdf in scene.parts.worn_by(shape))
     return all(bsdf.type in clear for bsdf in worn)
