@@ -35,7 +35,7 @@ from mcrim_mitsuba.optics.absorption import (
 from mcrim_mitsuba.optics.emission_band import index_over
 from mcrim_mitsuba.optics.gammas import AttenuationLength, attenuation_length_mm
 from mcrim_mitsuba.optics.spectrum import Spectrum
-from mcrim_mitsuba.optics.spectrum_file import read_spectra, read_spectrum
+from mcrim_mitsuba.optics.spectrum_file import read_spectrum, read_transmittances
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.values import read_index
 
@@ -118,7 +118,7 @@ def read_absorption(
     files, numbers, transmittance_sigma = _measured(table)
     thickness_mm = _above_zero(table, "thickness_mm", "the sample's thickness in mm")
     thickness_sigma_mm = number_within(table, "thickness_sigma_mm", schema.TRANSMITTANCE) or 0.0
-    spectra = read_spectra(files, "transmittance")
+    spectra = read_transmittances(files)
     if light is None and spectra:
         raise table.refusal(name, *_WITHOUT_LIGHT)
     n, n_sigma, notes = _index(table, light, scene)

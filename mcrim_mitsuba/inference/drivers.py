@@ -230,13 +230,10 @@ def settle(statistic: Statistic, theta: Array, *, precision: float = 1e-5) -> Mi
     return minimum
 
 
-def best_of(
-    statistic: Statistic, starts: Iterable[Array], weights: Weights, *, follow: int = 2
-) -> Minimum:
+def best_of(statistic: Statistic, starts: Iterable[Array], weights: Weights) -> Minimum:
     """The lowest minimum that some (free,) starts lead to.
 
-    The weights are held while the starts are followed; the lowest few, `follow`, then get their
-    own.
+    The weights are held while the starts are followed; the lowest two then get their own.
     """
     ends: list[tuple[float, Array]] = []
     for start in starts:
@@ -244,7 +241,7 @@ def best_of(
         if all(abs(chi2 - other) > SEARCH.same_height * (1.0 + other) for other, _ in ends):
             ends.append((chi2, theta))
     ends.sort(key=lambda end: end[0])
-    minima = [settle(statistic, theta) for _, theta in ends[:follow]]
+    minima = [settle(statistic, theta) for _, theta in ends[:2]]
     return min(minima, key=lambda minimum: minimum.deviance)
 
 

@@ -225,12 +225,12 @@ _WANTED = {
 }
 
 
-def read_spectra(paths: Sequence[str | Path], kind: Kind) -> list[Spectrum]:
-    """Read and check several measurements of one kind, efficiencies as fractions.
+def read_transmittances(paths: Sequence[str | Path]) -> list[Spectrum]:
+    """Read and check several transmittances, as fractions.
 
     Raises InputError if one cannot be used, or two are one file or alike byte for byte.
     """
-    spectra = [read_spectrum(path, kind) for path in paths]
+    spectra = [read_spectrum(path, "transmittance") for path in paths]
     duplicates = first_duplicates([Path(path) for path in paths])
     if duplicates is not None:
         first, second = (paths[place] for place in duplicates)

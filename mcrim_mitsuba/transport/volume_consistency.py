@@ -50,15 +50,13 @@ class Crossings:
     direction: np.ndarray
 
 
-def probe_lines(
-    model: SceneModel, seed: int = 0, per_shape: int = 1500
-) -> tuple[np.ndarray, np.ndarray]:
+def probe_lines(model: SceneModel) -> tuple[np.ndarray, np.ndarray]:
     """Lines that come from outside and go through all parts of a scene.
 
     Their origins and directions: float64, shape (lines, 3). Half of a flat face's lines aim close
     to its rim, where faces that should meet may not.
     """
-    rng = np.random.default_rng(seed)
+    rng, per_shape = np.random.default_rng(0), 1500
     targets = []
     for shape in model.shapes:
         box = shape.bbox()

@@ -113,7 +113,7 @@ def absorption(
     scattered out of the beam counts as absorbed unless an integrating sphere collected it.
     """
     from mcrim_mitsuba.optics.absorption import EMISSION, absorption_from_transmittance
-    from mcrim_mitsuba.optics.spectrum_file import read_spectra
+    from mcrim_mitsuba.optics.spectrum_file import read_transmittances
 
     numbers, files = _numbers_or_files(transmittance, index)
     thickness_mm, wavelength_nm = sample["thickness_mm"], sample["wavelength_nm"]
@@ -129,7 +129,7 @@ def absorption(
     light, of_light = _light(emission, quantum_efficiency)
     n, own_sigma, notes = _index(index, light, wavelength_nm)
     n_sigma = own_sigma if n_sigma is None else n_sigma
-    spectra = read_spectra(files, "transmittance")
+    spectra = read_transmittances(files)
     readings = [parse_share("the transmittance", text) for text in numbers]
     errors = {"transmittance_sigma": sigma, "n_sigma": n_sigma}
     coefficient = absorption_from_transmittance(
