@@ -12,6 +12,7 @@ import functools
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,6 +66,9 @@ EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 4
 _PRECISE = 0.7
 #: Part of an effect's photons that a first look takes.
 LOOK_PART = 1 / 8
+#: How many times as many one at a pair of effects takes, which is of one size only: that they add
+#: up is usual, and must not be lost in noise.
+PAIR_LOOKS = 2
 #: The same for all effects at once where a fit ends.
 ANCHOR_FACTOR = 2
 #: Most photons of one simulation: its records are held in memory.
@@ -215,18 +219,28 @@ class ResponseMaker:
     # ---- responses -----------------------------------------------------------------------------
 
     def make(
-        self, effects: Sequence[Effect], look: Collection[str] = (), *, tolerances: bool = True
+        self,
+        effects: Sequence[Effect],
+        look: Collection[str] = (),
+        *,
+        pairs: Collection[str] = (),
+        tolerances: bool = True,
     ) -> Responses:
         """Simulated responses of the campaign's bench, as it is and with each of the effects.
 
         Effects that change no light, but how readings are read, need no simulation and are left
-        out. Those named by `look` get a part of the photons, for a first look. Of the bench's
-        numbers `tolerances` are left out where nobody asks for them. Raises InputError if a scene
-        is not sound, leaks, or cannot take an effect.
+        out. `pairs` of names are simulated together, too. Those named by `look` get a part of the
+        photons, for a first look, and pairs a single size of each effect. Of the bench's numbers
+        `tolerances` are left out where nobody asks for them. Raises InputError if a scene is not
+        sound, leaks, or cannot take an effect.
         """
         benches = self._benches()
         plain = [bench.run for bench in benches]
         plans = list(self._plans(effects, look, plain))
+        by_name = {effect.name: effect for effect in effects}
+        for pair in sorted(pairs):
+            both = [by_name[name] for name in pair.split(" + ")]
+            plans.append(self._plan_of_pair(both, plain, is_look=pair in look))
         if tolerances:
             plans += [self._plan_of_tolerance(each, plain) for each in self.campaign.tolerances]
         of_benches = [table for bench in benches for table in bench.tables]
@@ -246,6 +260,9 @@ class ResponseMaker:
             for number, (bench, (_, table)) in enumerate(zip(benches, known, strict=True))
         }
         responses = {plan.name: self._response(plan, tables, coarse) for plan in plans}
+        for plan in (plan for plan in plans if plan.name in pairs):
+            for node, name in product(plan.nodes, plan.name.split(" + ")):
+                responses[plan.name].less(responses[name], node.place, node.reading)
         return Responses(
             self.grid, self._coarse, log_eta, deviations, responses, self.schedule.photons
         )
@@ -353,6 +370,30 @@ class ResponseMaker:
         axes = (Axis(effect.parameters[0], [0.0, *tolerance.near]),)
         plan = self._plan_along(axes, effect, plain, is_look=True)
         return replace(plan, name=tolerance.number.name)
+
+    def _plan_of_pair(
+        self, effects: Sequence[Effect], plain: Sequence[PlannedRun], *, is_look: bool
+    ) -> _EffectPlan:
+        """Two effects at once, for readings of light that see both."""
+        benches = [{**self.campaign.values, **run.parameters} for run in plain]
+        parts = (1.0,) if is_look else (0.5, 1.0)
+        axes = tuple(
+            _toward_plausible(_axis(parameter, self.campaign.values, benches), parts)
+            for effect in effects
+            for parameter in effect.parameters
+        )
+        nodes = []
+        for place, values in _nodes(axes):
+            for number, (scene, there) in enumerate(self.benches_with(effects, values)):
+                run, row, photons = plain[number], self._readings[number], self._photons[number]
+                if row.of_beam or not all(self._is_seen(e, run, row) for e in effects):
+                    continue
+                if is_look:
+                    photons = min(photons, PAIR_LOOKS * self._look_photons)
+                reference = replace(run, photons=photons, check=False).table()
+                changed = self._simulation(scene, there, photons, of_beam=False).table()
+                nodes.append(_Node(place, number, reference, changed))
+        return _EffectPlan(" + ".join(effect.name for effect in effects), axes, nodes)
 
     def _plan_along(
         self,
@@ -710,6 +751,22 @@ def _axis(
         above = max([1.0, *(node / high for node in nodes if node > high > 0)])
         nodes = [node / (below if node < 0 else above) for node in nodes]
     return Axis(parameter, [*absent, *nodes], nominal)
+
+
+def _toward_plausible(axis: Axis, parts: Sequence[float]) -> Axis:
+    """An axis with the nodes nearest to parts of the way from the absence to plausible ends."""
+    parameter, nodes = axis.parameter, np.array(axis.values)
+    x = parameter.coordinates_of(nodes)
+    origin, *ends = parameter.coordinates_of(np.array([nodes[0], *parameter.plausible]))
+    of_sides = [(x - origin) * (end - origin) > 0.0 for end in ends]
+    wanted = [
+        int(np.flatnonzero(side)[np.abs(x[side] - origin - part * (end - origin)).argmin()])
+        for side, end in zip(of_sides, ends, strict=True)
+        for part in parts
+        if side.any()
+    ]
+    absent = [] if parameter.absent is None else [0]
+    return Axis(parameter, nodes[[*absent, *sorted(set(wanted))]].tolist(), axis.nominal)
 
 
 def _as_scene_values(

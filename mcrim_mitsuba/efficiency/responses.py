@@ -1,8 +1,9 @@
 """How a campaign's readings respond to alpha_scat, alpha_abs and physical effects.
 
 The logarithm of eta is a sum: that of the bench as it is, and of every effect what it adds.
-Each is a polynomial through values at nodes. Of one effect that is exact at the nodes; several
-effects at once are corrected by simulating them together where a fit ends (`Anchor`)."""
+Each is a polynomial through values at nodes. Of one effect that is exact at the nodes; of two that
+do not add up, what they add beside their sum may be known too. Several effects at once are
+corrected by simulating them together where a fit ends (`Anchor`)."""
 
 from __future__ import annotations
 
@@ -132,6 +133,20 @@ class EffectResponse:
             weights = (weights[:, :, None] * each[:, None, :]).reshape(points, -1)
         return weights
 
+    def less(self, single: EffectResponse, place: tuple[int, ...], reading: int) -> None:
+        """Take off, at a node and of a reading, what one of several effects adds alone there."""
+        at = {
+            axis.name: axis.nominal + axis.values[i]
+            for axis, i in zip(self.axes, place, strict=True)
+        }
+        values = [np.array([at.get(axis.name, axis.nominal)]) for axis in single.axes]
+        (weights,) = single.weights_at(values)
+        tables = single.log_ratio.reshape(len(weights), *single.log_ratio.shape[-3:])
+        self.log_ratio[(*place, reading)] -= np.tensordot(weights, tables[:, reading], 1)
+        batches = single.deviations.reshape(len(single.deviations), *tables.shape)
+        added = np.tensordot(batches[:, :, reading], weights, (1, 0))
+        self.deviations.swapaxes(0, -3)[(reading, *place)] -= added
+
     def deviations_at(self, point: Point, values: Sequence[float]) -> NDArray[np.float64]:
         """(batches, readings) deviations of the addition."""
         each = [
@@ -198,7 +213,8 @@ class Responses:
     log_eta: NDArray[np.float64]
     #: (batches, readings, scattering nodes, absorption nodes) float32
     deviations: NDArray[np.float32]
-    #: Those that act on eta; effects of the readings need none.
+    #: Those that act on eta; effects of the readings need none. Of two names, joined by `` + ``, it
+    #: is what both add beside the sum of what each does.
     effects: Mapping[str, EffectResponse] = field(default_factory=dict)
     #: All photons behind it.
     photons: int = 0

@@ -11,6 +11,7 @@ import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
@@ -47,9 +48,10 @@ from mcrim_mitsuba.inference.judgement import (
 from mcrim_mitsuba.inference.next_measurements import NextMeasurement, next_measurements
 from mcrim_mitsuba.inference.rehearsal import Capability
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN
-from mcrim_mitsuba.inference.screening import ScreeningCache, promising_effects
+from mcrim_mitsuba.inference.screening import Screened, ScreeningCache, promising_effects
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, EXPLAINING, EXTENT, HYPOTHESES, JUDGING
 from mcrim_mitsuba.inference.simulations import (
+    CampaignModels,
     CampaignSimulations,
     MeasurementProposals,
     as_numbers,
@@ -233,9 +235,14 @@ def diagnose(
     run.tell("fitting the campaign as it is", 1, 1)
     baseline = simulations.fit()
     names = tuple(candidates)
-    screened = ScreeningCache(simulations, names)
-    precise = screened.read()
-    models = simulations.simulate(names, look=set(names) - {*(precise or ()), *adding})
+
+    def progress(words: str) -> None:
+        run.tell(words, 1, 1)
+
+    cache = ScreeningCache(simulations, names)
+    screened = cache.read()
+    precise = {*adding} if screened is None else {*adding, *screened.precise}
+    models = simulations.simulate(names, look=set(names) - precise)
     idle = {name for name in names if not models.acts(name)} - {*adding}
     if idle & {*only}:
         problem = f"{', '.join(sorted(idle & {*only}))} changes none of the readings"
@@ -245,31 +252,24 @@ def diagnose(
         for of in (possible, candidates)
     )
     names = tuple(candidates)
-    if precise is None:
+    if screened is None:
         run.tell("looking for what deserves more photons", 1, 1)
-        precise = promising_effects(models.model, candidates, baseline.minimum)
-    first = frozenset(precise)
+        screened = Screened(promising_effects(models.model, candidates, baseline.minimum))
 
-    def progress(words: str) -> None:
-        run.tell(words, 1, 1)
-
-    while True:
-        if not models.precise >= {*precise, *adding}:
-            models = simulations.simulate(names, look=set(names) - {*precise, *adding})
-        judged = judge(
+    def weighed(models: CampaignModels, pairs: Collection[str]) -> Judged:
+        return judge(
             models.model,
             candidates,
             catalogue=possible,
             fit=baseline,
             adding=tuple(dict.fromkeys(adding)),
+            together=pairs,
             sure=sure,
             seed=run.seed,
             progress=progress,
         )
-        if models.precise >= (named := judged.rests_on):
-            break
-        # what the diagnosis names gets all photons; if that names others again, all effects do
-        precise |= named if precise <= first else set(names)
+
+    judged, screened = _judged_precisely(simulations, names, screened, adding, weighed)
     # only now: whatever may be measured next is simulated for it
     diagnosis = diagnosis_of(judged, simulations.proposals(), progress=progress)
     refused = simulations.not_tried
@@ -279,7 +279,7 @@ def diagnose(
         not_tried={**refused, **diagnosis.not_tried},
         titles={**titles, **diagnosis.titles},
     )
-    screened.write(precise)
+    cache.write(screened)
     simulations.notes += _not_adding_up(simulations, judged)
     if diagnosis.caution:
         simulations.notes.append(diagnosis.caution)
@@ -291,10 +291,39 @@ def diagnose(
     return diagnosis
 
 
+def _judged_precisely(
+    simulations: CampaignSimulations,
+    names: tuple[str, ...],
+    screened: Screened,
+    adding: Sequence[str],
+    weighed: Callable[[CampaignModels, Collection[str]], Judged],
+) -> tuple[Judged, Screened]:
+    """The judgement of which all that it names had all photons, and what it rests on.
+
+    Pairs of effects are simulated together where no cause alone explains the readings.
+    """
+    models, first = simulations.models, frozenset(screened.precise)
+    precise, pairs = set(screened.precise), set(screened.pairs)
+    while True:
+        wanted = {*precise, *adding}
+        if not (models.precise >= wanted and pairs <= models.responses.effects.keys()):
+            all_names = (*names, *sorted(pairs))
+            models = simulations.simulate(all_names, look={*all_names} - wanted)
+        judged = weighed(models, pairs)
+        pairs = pairs or judged.pairs
+        named, likely = judged.rests_on, pairs & judged.likely_pairs
+        if models.precise >= named | likely and pairs <= models.responses.effects.keys():
+            return judged, Screened(precise, pairs)
+        # what the diagnosis names gets all photons; if that names others again, all effects do
+        if not models.precise >= named:
+            precise |= named if precise & {*names} <= first else set(names)
+        precise |= likely
+
+
 def _not_adding_up(simulations: CampaignSimulations, judged: Judged) -> list[str]:
     """What is to be said of leading sets of effects that do not fit where they are simulated.
 
-    All sets are weighed by responses that were simulated one by one, and add up in log(eta).
+    Sets are weighed by responses of one effect, or two at once, which add up in log(eta).
     """
     leading = () if judged.judgement is None else judged.judgement.verdict.leading
     notes: list[str] = []
@@ -383,6 +412,37 @@ class Judged:
         tried = counted & {*self.explanations.effects}
         return {*leading, *self.set_aside, *tried, *self.chosen}
 
+    @property
+    def pairs(self) -> set[str]:
+        """Pairs of the likeliest effects with others, where no cause alone explains the readings.
+
+        All sets are weighed by responses that add up; what two do together may be another thing.
+        """
+        judgement, explanations = self.judgement, self.explanations
+        if judgement is None or explains(judgement.baseline, ACCEPTABLE_P):
+            return set()
+        verdict, inclusion = judgement.verdict, judgement.weighing.inclusion
+        singles = [names for names in verdict.leading[:1] if len(names) == 1]
+        if verdict.suspects or any(explains(explanations.fit(n), ACCEPTABLE_P) for n in singles):
+            return set()
+        effects = [
+            n for n, e in explanations.effects.items() if e.reading is None and e.number is None
+        ]
+        centres = sorted(effects, key=lambda name: -inclusion.get(name, 0.0))
+        pairs = ((c, n) for c in centres[: EXTENT.most_centres] for n in effects if n != c)
+        return {" + ".join(sorted(pair)) for pair in pairs if explanations.possible(pair)}
+
+    @property
+    def likely_pairs(self) -> set[str]:
+        """Pairs of effects that are likely, or in sets that lead."""
+        if self.judgement is None:
+            return set()
+        weighing, leading = self.judgement.weighing, self.judgement.verdict.leading
+        shares = zip(weighing.hypotheses, weighing.shares.tolist(), strict=True)
+        likely = [h.effects for h, p in shares if len(h.effects) == 2 and p > JUDGING.likely]
+        pairs = (pair for names in (*likely, *leading) for pair in combinations(names, 2))
+        return {" + ".join(sorted(pair)) for pair in pairs}
+
 
 @one_thread()
 def judge(
@@ -392,6 +452,7 @@ def judge(
     catalogue: Mapping[str, Effect] | None = None,
     fit: Calibration | None = None,
     adding: tuple[str, ...] = (),
+    together: Collection[str] = (),
     sure: float = JUDGING.named,
     seed: int = 0,
     progress: Callable[[str], None] = lambda words: None,
@@ -406,8 +467,9 @@ def judge(
 
     `effects` are tried, of all in the `catalogue` that may be missing (by default the same). `fit`
     is that of the campaign as it is, made here where it is not given. The repair adds `adding`,
-    whatever the verdict. A family is named from the probability `sure` on. `seed` is of the
-    campaigns that are drawn to know what chance gains, and `progress` is told in words what is
+    whatever the verdict. Of pairs of effects `together`, such as ``"ground + gap_bubble"``, models
+    know more than what each does. A family is named from the probability `sure` on. `seed` is of
+    the campaigns that are drawn to know what chance gains, and `progress` is told in words what is
     being done.
     """
     began = time.perf_counter()
@@ -417,7 +479,8 @@ def judge(
     chosen: tuple[str, ...] = ()
     set_aside: tuple[str, ...] = ()
     if fit.ndf > 0:
-        judgement = _judged(explanations, seed, sure, progress)
+        pairs = [tuple(pair.split(" + ")) for pair in sorted(together)]
+        judgement = _judged(explanations, pairs, seed, sure, progress)
         chosen, set_aside = _repair(judgement, adding, progress)
     return Judged(
         fit=fit,
@@ -490,7 +553,11 @@ def diagnosis_of(
 
 
 def _judged(
-    explanations: Explanations, seed: int, sure: float, progress: Callable[[str], None]
+    explanations: Explanations,
+    pairs: Sequence[tuple[str, ...]],
+    seed: int,
+    sure: float,
+    progress: Callable[[str], None],
 ) -> Judgement:
     """Every effect fitted, and all sets of causes weighed."""
     progress(f"trying {len(explanations.effects)} effects")
@@ -501,7 +568,10 @@ def _judged(
     progress("drawing what chance would gain")
     null = NullDistribution(explanations, fits, seed)
     progress("weighing all sets of causes")
-    return Judgement(explanations, null, weigh_hypotheses(explanations, null), sure)
+    by_pair = {pair: explanations.fit(pair) for pair in pairs}
+    lowest = min((fit.deviance for fit in by_pair.values()), default=0.0)
+    near = [p for p, fit in by_pair.items() if fit.deviance < lowest + EXPLAINING.hopeless]
+    return Judgement(explanations, null, weigh_hypotheses(explanations, null, together=near), sure)
 
 
 def _repair(

@@ -222,6 +222,9 @@ class ResponseModel:
         #: Responses to the effects that are switched on, and to other scene parameters that are
         #: fitted.
         self.switched_on = {n: responses.effects[n] for n in names if n in responses.effects}
+        of_names = {frozenset(n.split(" + ")): r for n, r in responses.effects.items()}
+        #: The same with what pairs of them add, by all effects that it is the response to.
+        self.added = {on: r for on, r in of_names.items() if on <= self.switched_on.keys()}
         # an effect's response may depend on a beam's parameter, too, that is not fitted
         axes = {axis.name for response in self.switched_on.values() for axis in response.axes}
         unfitted = axes - set(campaign.parameters)
@@ -348,7 +351,7 @@ class ResponseModel:
             fine = self.responses.grid.weights_at(*pair)
             coarse = fine @ self.responses.coarser
             of_rows = fine @ self.responses.log_eta[rows].reshape(len(rows), -1).T
-            for response in self.switched_on.values():
+            for response in self.added.values():
                 weights = response.weights_at([values[axis.name] for axis in response.axes])
                 tables = response.log_ratio[..., rows, :, :].reshape(-1, coarse.shape[1])
                 # of all nodes and readings at once: products with few columns are slow
@@ -416,9 +419,9 @@ class PredictionPoint:
         self._coarse = self._fine.on(model.responses.coarser)
         # each with its parameters' values
         self._switched_on = {
-            name: (response, [values[axis.name] for axis in response.axes])
-            for name, response in model.switched_on.items()
-            if effects is None or name in effects
+            names: (response, [values[axis.name] for axis in response.axes])
+            for names, response in model.added.items()
+            if effects is None or names <= {*effects}
         }
         # (3, readings) with slopes by alpha_scat and alpha_abs
         all_of_it = self._fine.value_and_slopes(model.responses.log_eta)
@@ -439,10 +442,10 @@ class PredictionPoint:
                     self.slopes[:, model.column[parameter]] = rows * by_coefficient
 
     @property
-    def _added(self) -> list[tuple[EffectResponse, list[float]]]:
+    def _added(self) -> dict[frozenset[str], tuple[EffectResponse, list[float]]]:
         """Responses that no joint simulation has in it."""
         joint = frozenset[str]() if self._model.anchor is None else self._model.anchor.effects
-        return [known for name, known in self._switched_on.items() if name not in joint]
+        return {names: known for names, known in self._switched_on.items() if not names <= joint}
 
     @cached_property
     def deviations(self) -> Array:
@@ -451,7 +454,7 @@ class PredictionPoint:
             deviations = self._fine.values(self._model.responses.deviations)
         else:
             deviations = self._model.anchor.deviations
-        for response, own in self._added:
+        for response, own in self._added.values():
             deviations = deviations + response.deviations_at(self._coarse, own)
         return deviations
 
@@ -461,8 +464,12 @@ class PredictionPoint:
         return self._coarse.value(self._model.of_tolerances).T
 
     def interpolation_error(self) -> Array:
-        """(readings,) estimated size of the error that interpolation makes in log(eta)."""
+        """(readings,) estimated size of the error that interpolation makes in log(eta).
+
+        That of what pairs of effects add, which is little, is not counted.
+        """
         error = np.zeros(len(self.log_eta))
-        for response, own in self._added:
-            error += response.interpolation_error(self._coarse, own)
+        for names, (response, own) in self._added.items():
+            if len(names) == 1:
+                error += response.interpolation_error(self._coarse, own)
         return error

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict
+from typing import NamedTuple
 
 from mcrim_mitsuba.effects.effect import Effect, modules_of
 from mcrim_mitsuba.inference.displacement import NullDistribution
@@ -51,6 +52,15 @@ def promising_effects(models: Models, effects: Mapping[str, Effect], baseline: M
     return promising
 
 
+class Screened(NamedTuple):
+    """What a diagnosis simulates after its first look at all effects."""
+
+    #: Effects, and pairs of them, that get all photons.
+    precise: Collection[str]
+    #: Pairs of effects that are simulated together.
+    pairs: Collection[str] = ()
+
+
 class ScreeningCache:
     """What a screening ended with, kept where simulations are: to screen again takes seconds."""
 
@@ -58,7 +68,7 @@ class ScreeningCache:
         campaign, run = simulations.campaign, simulations.run
         self._cache: RecordCache = current_executor().cache(
             {
-                "what": "screening",
+                "what": "screening with pairs",
                 "versions": record_versions(run.variant, __name__),
                 "effects": code_hash(modules_of(campaign.catalogue.values())),
             }
@@ -75,11 +85,14 @@ class ScreeningCache:
             run.seed,
         )
 
-    def read(self) -> set[str] | None:
-        """Effects that were simulated in full; None where nothing was screened yet."""
+    def read(self) -> Screened | None:
+        """What it ended with; None where nothing was screened yet."""
         kept = self._cache.read(self._number)
-        return None if kept is None else set(map(str, kept.metadata["precise"]))
+        if kept is None:
+            return None
+        return Screened(*({*map(str, kept.metadata[name])} for name in Screened._fields))
 
-    def write(self, precise: Collection[str]) -> None:
+    def write(self, screened: Screened) -> None:
         """Keep it for the next time."""
-        self._cache.write(self._number, {}, {"precise": sorted(precise)})
+        kept = {name: sorted(names) for name, names in screened._asdict().items()}
+        self._cache.write(self._number, {}, kept)

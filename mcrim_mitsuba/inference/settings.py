@@ -162,8 +162,10 @@ class ExtentSettings:
     #: note tells: by this factor and by this much.
     not_adding_up: float = 2.0
     worse: float = 10.0
-    #: Most leading sets of effects that a diagnosis simulates together.
+    #: Most leading sets of effects that a diagnosis simulates together; and how many of the
+    #: likeliest effects it simulates together with each other one, where none alone explains it.
     most_together: int = 3
+    most_centres: int = 2
     #: Part of the photons that simulations of proposed measurements get: they decide nothing; and
     #: most configurations that are simulated to see what they would tell.
     proposed_part: float = 0.25

@@ -119,7 +119,7 @@ class CampaignModels:
     #: All of the campaign's own effects at once, where its own fit ends; None where their responses
     #: add up exactly.
     anchor: Anchor | None
-    #: Effects whose simulations had all photons.
+    #: Effects, and pairs of them, whose simulations had all photons.
     precise: frozenset[str]
 
     @property
@@ -161,8 +161,8 @@ def not_adding_up(effects: Sequence[str], chi2: float, by_responses: float) -> s
         return ""
     return (
         f"with {' and '.join(effects)} simulated together chi2 is {number(chi2)}, not "
-        f"{number(by_responses)} as their responses, simulated one by one, had it: the effects do "
-        "not add up, or an effect's file acts otherwise alone than beside others"
+        f"{number(by_responses)} as their responses had it: the effects do not add up, or an "
+        "effect's file acts otherwise alone than beside others"
     )
 
 
@@ -213,15 +213,19 @@ class CampaignSimulations:
     def simulate(self, effects: Sequence[str] = (), look: Collection[str] = ()) -> CampaignModels:
         """What models rest on, with some effects besides the campaign's own.
 
-        What was simulated before is not simulated again. Effects named by `look` get a first look
-        with a part of the photons, if they had no more before.
+        Two names joined by `` + `` are simulated together, too: what two effects do need not be the
+        sum of what each does. What was simulated before is not simulated again. What `look` names
+        gets a first look with a part of the photons, if it had no more before.
         """
         if self._models is None and effects:
             self.simulate()
         catalogue = self.campaign.catalogue
-        wanted = [catalogue[name] for name in (*self.campaign.effects, *effects)]
+        pairs = [name for name in effects if " + " in name]
+        singles = [name for name in effects if " + " not in name]
+        wanted = [catalogue[name] for name in (*self.campaign.effects, *singles)]
         precise = frozenset[str]() if self._models is None else self._models.precise
         precise |= {e.name for e in wanted if e.name not in look or e.reading is not None}
+        precise |= {*pairs} - {*look}
         if self._models is None and self.maker.looks and self.campaign.tolerances:
             # tolerances are simulated on what is then known to be wide enough: they take as long
             without = replace(self.campaign, tolerances=())
@@ -235,7 +239,7 @@ class CampaignSimulations:
                 del self.maker
         self._models = CampaignModels(
             campaign=self.campaign,
-            responses=self.maker.make(wanted, set(look) - precise),
+            responses=self.maker.make(wanted, set(look) - precise, pairs=pairs),
             anchor=self._anchor,
             precise=precise,
         )

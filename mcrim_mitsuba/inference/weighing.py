@@ -9,7 +9,7 @@ what the readings happen to say.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -208,13 +208,21 @@ class Weighing:
 
 
 def weigh_hypotheses(
-    explanations: Explanations, null: NullDistribution, *, closed: bool = False
+    explanations: Explanations,
+    null: NullDistribution,
+    *,
+    closed: bool = False,
+    together: Collection[tuple[str, ...]] = (),
 ) -> Weighing:
-    """Weigh all sets of causes, the likeliest by the model's own evidence, or all `closed`."""
+    """Weigh all sets of causes, the likeliest by the model's own evidence, or all `closed`.
+
+    So are effects `together` that may fit where those of the closed form, on straight lines about
+    fits without them, do not.
+    """
     weigher = _Weigher(explanations, null)
     if closed:
         return weigher.weighing()
-    for effects in ((), *((name,) for name in null.curves)):
+    for effects in ((), *((name,) for name in null.curves), *together):
         weigher.average_over(weigher.place_of(effects))
     for effect in weigher.centres():
         weigher.centre_on(effect)
@@ -325,12 +333,11 @@ class _Weigher:
         self._variances[places] = sets.variances[there]
 
     def place_of(self, effects: tuple[str, ...]) -> int:
-        """Of a set of none or one effect in plain surroundings."""
-        if not effects:
-            return 0
-        first = self._effects.index(effects[0])
-        alone = (self.sets.members[:, 0] == first) & (self.sets.members[:, 1] < 0)
-        return int(np.flatnonzero(alone & (self.sets.within == 0))[0])
+        """Of a set of effects in plain surroundings."""
+        members = np.full((1, MOST_CAUSES), -1)
+        members[0, : len(effects)] = [self._effects.index(name) for name in effects]
+        key = self._keys_of(members, np.zeros(1, int))
+        return int(self._by_key[np.searchsorted(self._keys, key, sorter=self._by_key)[0]])
 
     def likeliest_closed(self) -> int | None:
         """The likeliest set that has no evidence of its own; None where it is not worth one."""

@@ -207,6 +207,19 @@ def test_effects_together_are_simulated_together(campaign, made):
     assert abs(summed[1, 0] - gel) > 0.01 * gel
 
 
+def test_two_effects_that_do_not_add_up_are_predicted(campaign):
+    """Of a masked reading their sum is 6 % off."""
+    sizes = {"mask_offset": {"mask_offset_mm": 2.0}, "side_source": {"side_depth_mm": 1.5}}
+    maker, pair = ResponseMaker(campaign, Run(8 * LANES, seed=3, check=False)), " + ".join(sizes)
+    responses = maker.make([campaign.catalogue[name] for name in sizes], pairs=[pair])
+    eta, sigma = directly(campaign, sizes, 2, seed=4)
+    known, error = predicted(campaign, responses, sizes)[2]
+    assert abs(known - eta) < 4.5 * math.hypot(error, sigma)
+    singles = {name: responses.effects[name] for name in sizes}
+    added, _ = predicted(campaign, replace(responses, effects=singles), sizes)[2]
+    assert abs(added - eta) > max(0.04 * eta, 4.5 * math.hypot(error, sigma))
+
+
 def test_the_bench_as_it_is_is_that_of_the_solver(campaign, made):
     """Between the nodes, within the error of its photons, of which there are nine times as many."""
     for row, (eta, sigma) in enumerate(predicted(campaign, made[1], {})):

@@ -12,7 +12,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.polished_box import solve_box
-from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR
+from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR, ResponseMaker
 from mcrim_mitsuba.inference.budget import contributions_to
 from mcrim_mitsuba.inference.corrections import fitted
 from mcrim_mitsuba.inference.diagnose import diagnose
@@ -365,6 +365,25 @@ def test_what_a_scene_cannot_take_is_told_with_the_reason(scenes, tmp_path):
     found = diagnose(CampaignSimulations(read_campaign(path), Run(512, check=False)))
     assert found.not_tried["top_reflector"] == "wrapping covers the top already"
     assert found.titles["top_reflector"] == "reflector on the top face"
+
+
+def test_effects_that_do_not_add_up_are_found(scenes):
+    """By sums of responses a third effect was named beside these two with certainty."""
+    pair, run = ("ground_bottom", "photocathode_film"), Run(4 * LANES, seed=3, check=False)
+    campaign = replace(read_campaign(scenes / "camoo4_misfit.toml"), tolerances=())
+    sizes = {"ground_bottom_alpha": 0.53, "cathode_nm": 24.8}
+    values = {"alpha_scat_per_cm": 0.53, "alpha_abs_per_cm": 0.04, "scale": 50.0, **sizes}
+    hidden = campaign.with_effects(pair)
+    log_eta = ResponseMaker(hidden, run).anchor(hidden.switched_on, values).log_eta
+    readings = [
+        replace(row, signal=50.0 * eta, sigma=0.35 * eta)
+        for row, eta in zip(campaign.measurements.readings, np.exp(log_eta).tolist(), strict=True)
+    ]
+    added = replace(campaign, measurements=campaign.measurements.with_readings(readings))
+    simulations = CampaignSimulations(added, run)
+    diagnosis = diagnose(simulations, only=(*pair, "top_reflector"))
+    assert diagnosis.leading_sets == (pair,)
+    assert not any("do not add up" in note for note in simulations.notes)
 
 
 def test_effects_that_do_not_add_up_are_told(scenes):
