@@ -213,8 +213,8 @@ class Responses:
     log_eta: NDArray[np.float64]
     #: (batches, readings, scattering nodes, absorption nodes) float32
     deviations: NDArray[np.float32]
-    #: Those that act on eta; effects of the readings need none. Of two names, joined by `` + ``, it
-    #: is what both add beside the sum of what each does.
+    #: Those that act on eta; effects of the readings need none. Of two, ``"ground + gel_creep"``,
+    #: it is what both add beside the sum of what each does.
     effects: Mapping[str, EffectResponse] = field(default_factory=dict)
     #: All photons behind it.
     photons: int = 0

@@ -213,7 +213,7 @@ class CampaignSimulations:
     def simulate(self, effects: Sequence[str] = (), look: Collection[str] = ()) -> CampaignModels:
         """What models rest on, with some effects besides the campaign's own.
 
-        Two names joined by `` + `` are simulated together, too: what two effects do need not be the
+        Two, as in ``"ground + gel_creep"``, are simulated together: what both do need not be the
         sum of what each does. What was simulated before is not simulated again. What `look` names
         gets a first look with a part of the photons, if it had no more before.
         """
