@@ -303,14 +303,22 @@ def _judged_precisely(
     Pairs of effects are simulated together where no cause alone explains the readings.
     """
     models, first = simulations.models, frozenset(screened.precise)
-    precise, pairs = set(screened.precise), set(screened.pairs)
+    precise, pairs, together = set(screened.precise), set(screened.pairs), True
     while True:
         wanted = {*precise, *adding}
         if not (models.precise >= wanted and pairs <= models.responses.effects.keys()):
             all_names = (*names, *sorted(pairs))
-            models = simulations.simulate(all_names, look={*all_names} - wanted)
+            try:
+                models = simulations.simulate(all_names, look={*all_names} - wanted)
+            except InputError as error:
+                if not pairs:
+                    raise
+                problem = f"pairs of effects could not be simulated together: {error.problem}"
+                simulations.notes.append(f"{problem}; what both do is taken for the sum")
+                together, precise, pairs = False, precise - pairs, set()
+                continue
         judged = weighed(models, pairs)
-        pairs = pairs or judged.pairs
+        pairs = pairs or (judged.pairs if together else set())
         named, likely = judged.rests_on, pairs & judged.likely_pairs
         if models.precise >= named | likely and pairs <= models.responses.effects.keys():
             return judged, Screened(precise, pairs)
@@ -425,9 +433,7 @@ class Judged:
         singles = [names for names in verdict.leading[:1] if len(names) == 1]
         if verdict.suspects or any(explains(explanations.fit(n), ACCEPTABLE_P) for n in singles):
             return set()
-        effects = [
-            n for n, e in explanations.effects.items() if e.reading is None and e.number is None
-        ]
+        effects = [n for n, effect in explanations.effects.items() if effect.edit is not None]
         centres = sorted(effects, key=lambda name: -inclusion.get(name, 0.0))
         pairs = ((c, n) for c in centres[: EXTENT.most_centres] for n in effects if n != c)
         return {" + ".join(sorted(pair)) for pair in pairs if explanations.possible(pair)}

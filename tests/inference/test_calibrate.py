@@ -367,7 +367,7 @@ def test_what_a_scene_cannot_take_is_told_with_the_reason(scenes, tmp_path):
     assert found.titles["top_reflector"] == "reflector on the top face"
 
 
-def test_effects_that_do_not_add_up_are_found(scenes):
+def test_effects_that_do_not_add_up_are_found(scenes, monkeypatch):
     """By sums of responses a third effect was named beside these two with certainty."""
     pair, run = ("ground_bottom", "photocathode_film"), Run(4 * LANES, seed=3, check=False)
     campaign = replace(read_campaign(scenes / "camoo4_misfit.toml"), tolerances=())
@@ -380,10 +380,19 @@ def test_effects_that_do_not_add_up_are_found(scenes):
         for row, eta in zip(campaign.measurements.readings, np.exp(log_eta).tolist(), strict=True)
     ]
     added = replace(campaign, measurements=campaign.measurements.with_readings(readings))
-    simulations = CampaignSimulations(added, run)
-    diagnosis = diagnose(simulations, only=(*pair, "top_reflector"))
-    assert diagnosis.leading_sets == (pair,)
+    simulations, three = CampaignSimulations(added, run), (*pair, "top_reflector")
+    assert diagnose(simulations, only=three).leading_sets == (pair,)
     assert not any("do not add up" in note for note in simulations.notes)
+    # where a scene takes either, but not both, the sum is what there is
+
+    def refused(self, effects, plain, *, is_look):
+        raise InputError("light leaks", "mend it")
+
+    monkeypatch.setattr(ResponseMaker, "_plan_of_pair", refused)
+    simulations = CampaignSimulations(added, run)
+    assert set(diagnose(simulations, only=three).leading_sets[0]) == {*three}
+    told = "pairs of effects could not be simulated together: light leaks"
+    assert any(note.startswith(told) for note in simulations.notes)
 
 
 def test_effects_that_do_not_add_up_are_told(scenes):
