@@ -434,7 +434,8 @@ class Judged:
         if verdict.suspects or any(explains(explanations.fit(n), ACCEPTABLE_P) for n in singles):
             return set()
         effects = [n for n, effect in explanations.effects.items() if effect.edit is not None]
-        centres = sorted(effects, key=lambda name: -inclusion.get(name, 0.0))
+        likely = [name for name in effects if inclusion.get(name, 0.0) > EXTENT.least_of_centre]
+        centres = sorted(likely, key=lambda name: -inclusion[name])
         pairs = ((c, n) for c in centres[: EXTENT.most_centres] for n in effects if n != c)
         return {" + ".join(sorted(pair)) for pair in pairs if explanations.possible(pair)}
 

@@ -163,9 +163,11 @@ class ExtentSettings:
     not_adding_up: float = 2.0
     worse: float = 10.0
     #: Most leading sets of effects that a diagnosis simulates together; and how many of the
-    #: likeliest effects it simulates together with each other one, where none alone explains it.
+    #: likeliest effects it simulates together with each other one, where none alone explains it,
+    #: and their least probability.
     most_together: int = 3
     most_centres: int = 2
+    least_of_centre: float = 0.3
     #: Part of the photons that simulations of proposed measurements get: they decide nothing; and
     #: most configurations that are simulated to see what they would tell.
     proposed_part: float = 0.25
