@@ -318,8 +318,10 @@ def _judged_precisely(
                 together, precise, pairs = False, precise - pairs, set()
                 continue
         judged = weighed(models, pairs)
-        pairs = pairs or (judged.pairs if together else set())
-        named, likely = judged.rests_on, pairs & judged.likely_pairs
+        named = judged.rests_on
+        if together and not pairs and models.precise >= named:
+            pairs = judged.pairs
+        likely = pairs & judged.likely_pairs
         if models.precise >= named | likely and pairs <= models.responses.effects.keys():
             return judged, Screened(precise, pairs)
         # what the diagnosis names gets all photons; if that names others again, all effects do
