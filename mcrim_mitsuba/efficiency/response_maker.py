@@ -352,17 +352,21 @@ class ResponseMaker:
         is_look: bool,
     ) -> _EffectPlan:
         """An effect at the nodes of its parameters."""
-        benches = [{**self.campaign.values, **run.parameters} for run in plain]
         few = is_look and (not self._weighs(effect) or effect.proposal is not None)
-        axes = tuple(
-            _axis(parameter, self.campaign.values, benches, few) for parameter in effect.parameters
-        )
+        axes = self._axes(effect.parameters, plain, few)
         if few and effect.number is not None:
             # as its tolerance, which is simulated anyway; what an index does bends
             (parameter,) = effect.parameters
             nodes = sorted(parameter.nodes, key=abs)[: None if effect.number.is_index else 2]
             axes = (Axis(parameter, [0.0, *nodes]),)
         return self._plan_along(axes, effect, plain, acceptance, is_look=is_look)
+
+    def _axes(
+        self, parameters: Sequence[EffectParameter], plain: Sequence[PlannedRun], few: bool = False
+    ) -> tuple[Axis, ...]:
+        """Nodes of parameters that all readings' benches take; `few` as of `_axis`."""
+        benches = [{**self.campaign.values, **run.parameters} for run in plain]
+        return tuple(_axis(p, self.campaign.values, benches, few) for p in parameters)
 
     def _plan_of_tolerance(self, tolerance: Tolerance, plain: Sequence[PlannedRun]) -> _EffectPlan:
         """A number of the bench, off a little either way."""
@@ -375,24 +379,21 @@ class ResponseMaker:
         self, effects: Sequence[Effect], plain: Sequence[PlannedRun], *, is_look: bool
     ) -> _EffectPlan:
         """Two effects at once, for readings of light that see both."""
-        benches = [{**self.campaign.values, **run.parameters} for run in plain]
         parts = (1.0,) if is_look else (0.5, 1.0)
-        axes = tuple(
-            _toward_plausible(_axis(parameter, self.campaign.values, benches), parts)
-            for effect in effects
-            for parameter in effect.parameters
-        )
+        parameters = [parameter for effect in effects for parameter in effect.parameters]
+        axes = tuple(_toward_plausible(axis, parts) for axis in self._axes(parameters, plain))
+        seeing = []
+        for number, (run, row) in enumerate(zip(plain, self._readings, strict=True)):
+            if not row.of_beam and all(self._is_seen(effect, run, row) for effect in effects):
+                most = PAIR_LOOKS * self._look_photons if is_look else _MOST_PHOTONS
+                photons = min(self._photons[number], most)
+                seeing.append((number, replace(run, photons=photons, check=False)))
         nodes = []
         for place, values in _nodes(axes):
-            for number, (scene, there) in enumerate(self.benches_with(effects, values)):
-                run, row, photons = plain[number], self._readings[number], self._photons[number]
-                if row.of_beam or not all(self._is_seen(e, run, row) for e in effects):
-                    continue
-                if is_look:
-                    photons = min(photons, PAIR_LOOKS * self._look_photons)
-                reference = replace(run, photons=photons, check=False).table()
-                changed = self._simulation(scene, there, photons, of_beam=False).table()
-                nodes.append(_Node(place, number, reference, changed))
+            benches = list(self.benches_with(effects, values))
+            for number, run in seeing:
+                changed = self._simulation(*benches[number], run.photons, of_beam=False)
+                nodes.append(_Node(place, number, run.table(), changed.table()))
         return _EffectPlan(" + ".join(effect.name for effect in effects), axes, nodes)
 
     def _plan_along(
@@ -409,8 +410,7 @@ class ResponseMaker:
         seeing = [n for n, run in enumerate(plain) if self._is_seen(effect, run, readings[n])]
         further = None
         if acceptance and not effect.of_beam and any(plain[number].of_beam for number in seeing):
-            benches = [{**self.campaign.values, **run.parameters} for run in plain]
-            further = _axis(acceptance, self.campaign.values, benches)
+            (further,) = self._axes([acceptance], plain)
         nodes: list[_Node] = []
         for number in seeing:
             run, row, photons = plain[number], readings[number], self._photons[number]

@@ -7,7 +7,7 @@ coefficients and to effects.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -411,7 +411,7 @@ class PredictionPoint:
         self,
         model: ResponseModel,
         values: Mapping[str, float],
-        effects: Collection[str] | None = None,
+        effects: frozenset[str] | None = None,
     ) -> None:
         self.values = values
         self._model = model
@@ -421,7 +421,7 @@ class PredictionPoint:
         self._switched_on = {
             names: (response, [values[axis.name] for axis in response.axes])
             for names, response in model.added.items()
-            if effects is None or names <= {*effects}
+            if effects is None or names <= effects
         }
         # (3, readings) with slopes by alpha_scat and alpha_abs
         all_of_it = self._fine.value_and_slopes(model.responses.log_eta)

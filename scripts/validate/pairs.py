@@ -78,11 +78,7 @@ def main(count: int, seed: int) -> int:
     )
     possible = simulations.possible()
     models = simulations.simulate(tuple(possible))
-    names = [
-        name
-        for name, effect in possible.items()
-        if effect.reading is None and effect.number is None and models.acts(name)
-    ]
+    names = [n for n, effect in possible.items() if effect.edit is not None and models.acts(n)]
     random = np.random.default_rng(seed)
     drawn = (compare(simulations, names, random) for _ in range(count))
     told = np.array([found for found in drawn if found is not None])
