@@ -46,10 +46,9 @@ class Shuttle:
         self._eta, self._twice = opaque([eta]), opaque([2.0 * film.distance_mm])
         kept = film.surface.reflectance
         self._per_log = opaque([1.0 / math.log(kept) if 0.0 < kept < 1.0 else _LOSSLESS * kept])
-        slabs, totals = zip(*(body.axes[axis][:2] for axis in range(3)), strict=True)
+        slabs, self._totals = zip(*(body.axes[axis][:2] for axis in range(3)), strict=True)
         self._low = mi.Vector3f(*(slab.sides[False].offset for slab in slabs))
         self._high = mi.Vector3f(*(slab.sides[True].offset for slab in slabs))
-        self._total = mi.Vector3f(*(dr.maximum(*ends) for ends in totals))
 
     @classmethod
     def before(cls, model: SceneModel, film: WrappingFilm, body: FoldedBody) -> Shuttle | None:
@@ -91,7 +90,9 @@ class Shuttle:
         It is `free_mm` (Float) from where it scatters. What it flies in the crystal is returned
         (Float, mm), with the reflections there (UInt32).
         """
-        given = outcome.direction, outcome.position, self._low, self._high, self._total
+        # here, not once for all: Dr.Jit would order the next launch's kernel in another way
+        total = mi.Vector3f(*(dr.maximum(*ends) for ends in self._totals))
+        given = outcome.direction, outcome.position, self._low, self._high, total
         flying, place, low, high, total = (self._turned(face, vector) for vector in given)
         # along the normal of the mirrors, and in widths of the box along the two other axes
         cosine, eta2 = dr.maximum(dr.abs(flying.x), _LEAST), dr.square(self._eta)
