@@ -222,7 +222,7 @@ def test_the_readme_is_short_and_its_links_lead_somewhere():
     for link in re.findall(r"\]\(([^)#]+)", text):
         assert link.startswith("https:") or (ROOT / link).exists(), link
     # a command of one line under each mark, for those who paste and for .ci/run
-    marked = r"^<!-- (\w+) command -->\n```sh\npython3 -m venv \.venv && (.+)\n```$"
+    marked = r"^<!-- (\w+) command -->\n```sh\npython3 -m venv (?:--upgrade-deps )?\.venv && (.+)\n```$"
     assert re.findall(marked, text, re.MULTILINE) == [
         ("article", ".venv/bin/pip install . && .venv/bin/mcrim paper"),
         ("test", ".venv/bin/pip install -e '.[test]' && .venv/bin/python -m pytest"),
