@@ -28,6 +28,23 @@ class Browser:
     def __init__(self, driver, downloads: Path) -> None:
         self.driver, self.downloads = driver, downloads
 
+    def renewed(self, downloads: Path) -> "Browser":
+        """The same program in a new window, with nothing of what other tests left in it."""
+        left = self.driver.window_handles
+        self.driver.switch_to.new_window("window")
+        mine = self.driver.current_window_handle
+        for handle in left:
+            self.driver.switch_to.window(handle)
+            self.driver.close()
+        self.driver.switch_to.window(mine)
+        for command in ("Network.clearBrowserCookies", "Network.clearBrowserCache"):
+            self.driver.execute_cdp_cmd(command, {})
+        where = {"behavior": "allow", "downloadPath": str(downloads)}
+        self.driver.execute_cdp_cmd("Browser.setDownloadBehavior", where)
+        for log in ("browser", "performance"):
+            self.driver.get_log(log)
+        return Browser(self.driver, downloads)
+
     def wait_for(self, found: Callable[[], object], what: str, seconds: float = LONGEST_WAIT_S):
         """What `found` returns, as soon as that is true; fails naming `what`."""
         from selenium.common.exceptions import WebDriverException
@@ -164,10 +181,16 @@ def open_browser(folder: Path, *flags: str, width=1280, height=900) -> Iterator[
         driver.quit()
 
 
-@pytest.fixture
-def browser(tmp_path_factory) -> Iterator[Browser]:
-    """A fresh browser; the test is skipped, and says why, where there is none."""
+@pytest.fixture(scope="session")
+def chromium(tmp_path_factory) -> Iterator[Browser]:
+    """The one that tests of this process share: it takes a second of two processors to start."""
     if lacking := why_no_browser():
         pytest.skip(f"{lacking}: nothing is tested in a browser")
     with open_browser(tmp_path_factory.mktemp("browser")) as opened:
         yield opened
+
+
+@pytest.fixture
+def browser(chromium, tmp_path_factory) -> Iterator[Browser]:
+    """A browser as if it were fresh; the test is skipped, and says why, where there is none."""
+    yield chromium.renewed(tmp_path_factory.mktemp("downloads"))

@@ -23,7 +23,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("PYTHON_CPU_COUNT", "1")
 
 import pytest
-from browser import browser  # noqa: F401  (a fixture for all tests)
+from browser import browser, chromium  # noqa: F401  (fixtures for all tests)
 from places import CAMPAIGN_FILES, SCENES
 
 from mcrim_mitsuba.cli.main import main
