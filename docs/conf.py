@@ -33,6 +33,7 @@ add_module_names = False
 autodoc_member_order = "bysource"
 # docstrings have types and units in words
 autodoc_typehints = "none"
+autodoc_use_type_comments = False  # nobody writes any, and looking for them takes long
 python_maximum_signature_line_length = 88
 napoleon_google_docstring = False
 # types are words and stay text: looking each of them up takes longer than all else

@@ -51,11 +51,7 @@ class Site:
             status=None,
             warning=complaints,
             # every page would list all objects of all modules in its margin: a third of the time
-            confoverrides={
-                "nb_execution_mode": "off",
-                "toc_object_entries": False,
-                "autodoc_use_type_comments": False,  # nobody writes any
-            },
+            confoverrides={"nb_execution_mode": "off", "toc_object_entries": False},
         )
         application.builder.search = False  # an index of all words: nothing here asks it
         with pytest.MonkeyPatch.context() as patch:
@@ -222,7 +218,9 @@ def test_the_readme_is_short_and_its_links_lead_somewhere():
     for link in re.findall(r"\]\(([^)#]+)", text):
         assert link.startswith("https:") or (ROOT / link).exists(), link
     # a command of one line under each mark, for those who paste and for .ci/run
-    marked = r"^<!-- (\w+) command -->\n```sh\npython3 -m venv (?:--upgrade-deps )?\.venv && (.+)\n```$"
+    marked = (
+        r"^<!-- (\w+) command -->\n```sh\npython3 -m venv (?:--upgrade-deps )?\.venv && (.+)\n```$"
+    )
     assert re.findall(marked, text, re.MULTILINE) == [
         ("article", ".venv/bin/pip install . && .venv/bin/mcrim paper"),
         ("test", ".venv/bin/pip install -e '.[test]' && .venv/bin/python -m pytest"),
