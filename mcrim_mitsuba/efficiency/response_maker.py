@@ -357,7 +357,8 @@ class ResponseMaker:
         if few and effect.number is not None:
             # as its tolerance, which is simulated anyway; what an index does bends
             (parameter,) = effect.parameters
-            nodes = sorted(parameter.nodes, key=abs)[: None if effect.number.is_index else 2]
+            nodes = sorted(parameter.nodes, key=abs)
+            nodes = nodes[:2] + (nodes[-2:] if effect.number.is_index else [])
             axes = (Axis(parameter, [0.0, *nodes]),)
         return self._plan_along(axes, effect, plain, acceptance, is_look=is_look)
 
