@@ -9,7 +9,18 @@ import click
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from mcrim_mitsuba.cli import terminal
-from trials import calibrated, closure, digitiser, faults, formulas, hidden, kill, peak, wrapped
+from trials import (
+    calibrated,
+    closure,
+    digitiser,
+    faults,
+    followed,
+    formulas,
+    hidden,
+    kill,
+    peak,
+    wrapped,
+)
 
 
 @click.group()
@@ -17,7 +28,18 @@ def main() -> None:
     """Is what the package says of itself right?"""
 
 
-for one in (calibrated, closure, digitiser, faults, formulas, hidden, kill, peak, wrapped):
+for one in (
+    calibrated,
+    closure,
+    digitiser,
+    faults,
+    followed,
+    formulas,
+    hidden,
+    kill,
+    peak,
+    wrapped,
+):
     main.add_command(one.main, one.__name__.rpartition(".")[2])
 
 

@@ -5,8 +5,8 @@ parameters and effects there are, that they act through filling, aperture, gap a
 are nearly alike, bounded or strongly nonlinear, and that the model has a simulation's own error.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,10 +17,14 @@ from mcrim_mitsuba.campaign.parameter import CampaignParameter, CommonErrors
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import Rows
 from mcrim_mitsuba.effects.readings import reading_nonlinearity
+from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.drivers import find_minima
 from mcrim_mitsuba.inference.explanations import Explanations
+from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.model import Prediction
+from mcrim_mitsuba.inference.simulations import MeasurementProposals
 from mcrim_mitsuba.inference.statistic import Statistic
+from mcrim_mitsuba.inference.weighing import weigh_hypotheses
 
 SIGMA = 0.007
 PRIOR, PRIOR_SIGMA = 0.039, 0.012
@@ -255,3 +259,61 @@ def simulation_noise(seed: int) -> np.ndarray:
     """(batches, readings) errors of log(eta), shared by all models of a campaign."""
     rng = np.random.default_rng([seed, 99])
     return rng.normal(0.0, SIMULATION_ERROR * np.sqrt(BATCHES), (BATCHES, len(ROWS)))
+
+
+#: What is true of a campaign that is followed, but for the values it says.
+TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
+#: A scale of 5 is 1 photon per keV; the efficiency has no error, which would blur what is scored.
+LIGHT = LightYieldInput(50.0, 0.1, 0.0)
+
+
+@dataclass
+class Followed:
+    """A campaign whose truth is known, and what is measured later on its bench."""
+
+    values: dict
+    effects: tuple
+    known: tuple
+    rows: tuple  # places of its readings among those of the bench
+    seed: int = 0
+    wrong: dict = field(default_factory=dict)  # factors, by place
+    more: tuple = ()  # places of readings that are made later
+    numbers: int = 1  # times that the absorption was measured
+
+    def judged(self) -> Judgement:
+        """What a diagnosis makes of it."""
+        explanations = explanations_of(self.models, {name: EFFECTS[name] for name in self.known})
+        null = NullDistribution(explanations, explanations.singles())
+        return Judgement(explanations, null, weigh_hypotheses(explanations, null))
+
+    def models(self, added: tuple) -> Model:
+        """Its model with some effects."""
+        rng, truth = np.random.default_rng(self.seed), {**TRUTH, **self.values}
+        true = signals(truth, self.effects)
+        once = true * (1.0 + SIGMA * rng.standard_normal(len(true)))
+        later = true * (1.0 + SIGMA * rng.standard_normal(len(true)))
+        for place, factor in self.wrong.items():
+            once[place] *= factor
+        first, second = readings(once), readings(later)
+        rows = [first[place] for place in self.rows]
+        rows += [replace(second[place], label=f"{place} later") for place in self.more]
+        measured = truth["alpha_abs_per_cm"] + PRIOR_SIGMA * rng.standard_normal(2)
+        return Model(
+            tuple(rows),
+            tuple(added),
+            simulation_noise(self.seed),
+            measured[: self.numbers].mean(),
+            LIGHT,
+            prior_sigma=PRIOR_SIGMA / np.sqrt(self.numbers),
+        )
+
+    def proposals(self, new: Sequence[int] = ()) -> MeasurementProposals:
+        """What may be measured next: readings of these rows, and what may be done once more."""
+        nobodys = readings(np.ones(len(ROWS)))
+        rows, noise = tuple(nobodys[place] for place in new), simulation_noise(self.seed)
+        return MeasurementProposals(
+            [ROWS[place] for place in new],
+            [lambda added: Model(rows, added, noise)] if rows else [],
+            self.models,
+            SIGMA,
+        )

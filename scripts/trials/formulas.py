@@ -25,7 +25,6 @@ import numpy as np
 from scipy.special import ndtr
 from shared import fraction_error
 
-from mcrim_mitsuba.campaign.parameter import LightYieldInput
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.drivers import find_minima
@@ -41,8 +40,6 @@ from trials.truth import do_missing
 KINDS = "known withheld pairs triples nothing wrong understated coarse six forty".split()
 #: Least and most of it; the least of readings whose errors hide more.
 EXCESS, LEAST = (40.0, 670.0), {"coarse": 10.0}
-#: A scale of 5 is 1 photon per keV; the efficiency has no error, which would blur what is scored.
-LIGHT = LightYieldInput(50.0, 0.1, 0.0)
 #: Relative error of a reading, by kind.
 SIGMA = {"coarse": 0.03}
 _MOST_DRAWS = 300
@@ -129,7 +126,7 @@ def weigh_one(kind: str, number: int, seed: int) -> dict:
     judge = Judgement(explanations, null, weighing)
     light = judge.light_yield
     seconds = time.perf_counter() - began
-    true = LIGHT.per_scale * scale
+    true = bench.LIGHT.per_scale * scale
     names = [name for name in judge.probabilities if name not in ("none", "unknown", "others")]
     first = set(names[0].split(" + ")) if names else set()
     wanted = set(hidden) | {f"bad reading row{row + 1}" for row in spoiled}
@@ -172,7 +169,7 @@ def _draw(kind: str, rng: np.random.Generator):
 
     def models_of(signal: np.ndarray, absorption: float):
         rows = bench.readings_of(used, signal, sigma)
-        return lambda added: bench.Model(rows, tuple(added), noise, absorption, LIGHT)
+        return lambda added: bench.Model(rows, tuple(added), noise, absorption, bench.LIGHT)
 
     plain = bench.signals(truth)[used]
     explanations = bench.explanations_of(models_of(plain, truth["alpha_abs_per_cm"]), bench.EFFECTS)

@@ -4,7 +4,7 @@ Seeds are fixed.
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,73 +12,19 @@ import pytest
 from refusals import refusal
 from trials import formula_bench as bench
 
-from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
+from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.next_measurements import _offers, next_measurements
-from mcrim_mitsuba.inference.simulations import CampaignSimulations, MeasurementProposals, buildable
-from mcrim_mitsuba.inference.weighing import Hypothesis, weigh_hypotheses
-
-TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
-LIGHT = LightYieldInput(50.0, 0.1, 0.0)
-
-
-@dataclass
-class Bench:
-    """A campaign on a bench whose truth is known."""
-
-    values: dict
-    effects: tuple
-    known: tuple
-    rows: tuple  # places of its readings among those of the bench
-    seed: int = 0
-    wrong: dict = field(default_factory=dict)  # factors, by place
-    more: tuple = ()  # places of readings that are made later
-    numbers: int = 1  # times that the absorption was measured
-
-    def judged(self) -> Judgement:
-        explanations = bench.explanations_of(
-            self.models, {name: bench.EFFECTS[name] for name in self.known}
-        )
-        null = NullDistribution(explanations, explanations.singles())
-        return Judgement(explanations, null, weigh_hypotheses(explanations, null))
-
-    def models(self, added: tuple) -> bench.Model:
-        rng = np.random.default_rng(self.seed)
-        true = bench.signals({**TRUTH, **self.values}, self.effects)
-        once = true * (1.0 + bench.SIGMA * rng.standard_normal(len(true)))
-        later = true * (1.0 + bench.SIGMA * rng.standard_normal(len(true)))
-        for place, factor in self.wrong.items():
-            once[place] *= factor
-        first, second = bench.readings(once), bench.readings(later)
-        rows = [first[place] for place in self.rows]
-        rows += [replace(second[place], label=f"{place} later") for place in self.more]
-        measured = TRUTH["alpha_abs_per_cm"] + bench.PRIOR_SIGMA * rng.standard_normal(2)
-        return bench.Model(
-            tuple(rows),
-            tuple(added),
-            bench.simulation_noise(self.seed),
-            measured[: self.numbers].mean(),
-            LIGHT,
-            prior_sigma=bench.PRIOR_SIGMA / math.sqrt(self.numbers),
-        )
-
-    def proposals(self, new=()) -> MeasurementProposals:
-        nobodys = bench.readings(np.ones(len(bench.ROWS)))
-        rows, noise = tuple(nobodys[place] for place in new), bench.simulation_noise(self.seed)
-        return MeasurementProposals(
-            [bench.ROWS[place] for place in new],
-            [lambda added: bench.Model(rows, added, noise)] if rows else [],
-            self.models,
-            bench.SIGMA,
-        )
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, buildable
+from mcrim_mitsuba.inference.weighing import Hypothesis
 
 
 def log_error(judgement: Judgement) -> float:
     """Of the light yield's relative error, nothing being added for what is in no catalogue."""
     weighing = replace(judgement.weighing, widening=(1.0, 1.0))
-    averaged = weighing.light_yield(LIGHT, judgement.baseline.values["scale"])
+    averaged = weighing.light_yield(bench.LIGHT, judgement.baseline.values["scale"])
     return math.log(averaged.sigma / averaged.value)
 
 
@@ -86,7 +32,7 @@ def test_a_wrong_reading_is_made_once_more():
     """Nothing new can be built; who repeats the reading gets the error that was promised."""
     every_other = tuple(range(0, 16, 2))
     for seed in (0, 1):
-        campaign = Bench({}, (), ("gap_bubble",), every_other, seed, wrong={4: 1.07})
+        campaign = bench.Followed({}, (), ("gap_bubble",), every_other, seed, wrong={4: 1.07})
         advice = next_measurements(campaign.judged(), campaign.proposals())
         assert {part for one in advice for part in one.kind.split(" + ")} >= {"repeat", "number"}
         repeat = next(one for one in advice if one.words == "reading row5 once more")
@@ -110,7 +56,7 @@ def test_what_is_promised_is_what_is_left():
         rng = np.random.default_rng([seed, 5])
         first, further = np.split(rng.permutation(len(bench.ROWS))[:10], [8])
         wrong = {first[0]: 1.0 + 0.03 * rng.choice([-1.0, 1.0])} if seed % 2 else {}
-        campaign = Bench({}, (), (), tuple(np.sort(first)), seed, wrong)
+        campaign = bench.Followed({}, (), (), tuple(np.sort(first)), seed, wrong)
         before = campaign.judged()
         best = next_measurements(before, campaign.proposals(further))[0]
         kinds.update(best.kind.split(" + "))
@@ -129,9 +75,9 @@ def test_what_tells_nothing_leaves_the_error_and_the_doubt_of_now():
     """Such looks promised 7.3 % where the error was 8.6 %, by points for half of what is likely."""
     every_other, bubble = tuple(range(0, 16, 2)), ("gap_bubble",)
     campaigns = (
-        Bench({"bubble_fraction": 0.2}, bubble, bubble, every_other),
-        Bench({}, (), bubble, every_other, 1, wrong={4: 1.05}),
-        Bench({}, (), tuple(bench.EFFECTS), every_other, 1, wrong={4: 1.05}),
+        bench.Followed({"bubble_fraction": 0.2}, bubble, bubble, every_other),
+        bench.Followed({}, (), bubble, every_other, 1, wrong={4: 1.05}),
+        bench.Followed({}, (), tuple(bench.EFFECTS), every_other, 1, wrong={4: 1.05}),
     )
     for campaign in campaigns:
         judgement = campaign.judged()
@@ -150,7 +96,7 @@ def test_what_tells_nothing_leaves_the_error_and_the_doubt_of_now():
 
 def test_a_look_is_right_as_often_as_is_said():
     """Where an effect is as likely there as not, who looked is so sure as looks are right."""
-    campaign = Bench({}, (), ("gap_bubble",), tuple(range(0, 16, 2)))
+    campaign = bench.Followed({}, (), ("gap_bubble",), tuple(range(0, 16, 2)))
     effects = {"gap_bubble": bench.EFFECTS["gap_bubble"]}
     explanations = bench.explanations_of(campaign.models, effects)
     alike = tuple(
