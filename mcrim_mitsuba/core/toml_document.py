@@ -70,9 +70,8 @@ class TomlDocument:
         for name in content:
             if entries is not None and name not in entries:
                 where = f"[{key}]" if key else self.kind
-                raise table.refusal(
-                    name, f"{where} has no entry {name}", did_you_mean(name, entries)
-                )
+                problem = f"{where} has no entry {name}"
+                raise table.refusal(name, problem, did_you_mean(name, entries))
         return table
 
 
@@ -165,12 +164,8 @@ def _line_of(match: re.Match[str] | None, text: str) -> int | None:
 
 
 def _too_deep(path: Path, line: int | None) -> InputError:
-    return InputError(
-        f"tables or lists are nested more than {_DEEPEST} deep",
-        "is this the file you meant?",
-        path=path,
-        line=line,
-    )
+    problem = f"tables or lists are nested more than {_DEEPEST} deep"
+    return InputError(problem, "is this the file you meant?", path=path, line=line)
 
 
 def _refuse_monsters(document: TomlDocument) -> None:

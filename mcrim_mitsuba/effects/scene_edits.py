@@ -144,11 +144,8 @@ def roughen(editor: SceneEditor, side: str, alpha: str) -> None:
     for face in faces:
         bsdf = editor.bsdf(face)
         if bsdf is None or bsdf not in editor.crystal_polish or "id" not in bsdf.attrib:
-            raise editor.refusal(
-                f"{face.label} does not wear a dielectric with an id",
-                "only faces of plain polish can be changed",
-                face,
-            )
+            problem = f"{face.label} does not wear a dielectric with an id"
+            raise editor.refusal(problem, "only faces of plain polish can be changed", face)
         if bsdf not in copies:
             copies[bsdf] = rough_copy(editor, bsdf, side, f"${alpha}")
         for ref in face.elements:

@@ -101,10 +101,8 @@ class EtaSurface:
         for name, value, (low, high) in zip((ALPHA_SCAT, ALPHA_ABS), point, ranges, strict=True):
             # a fit's bounds come back from logarithms: allow for their rounding
             if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
-                raise InputError(
-                    f"{name} = {value:g} is outside {low:g}..{high:g}, what was simulated",
-                    "simulate a range that holds it",
-                )
+                problem = f"{name} = {value:g} is outside {low:g}..{high:g}, what was simulated"
+                raise InputError(problem, "simulate a range that holds it")
         if 0.0 < alpha_scat_per_cm < SMALLEST_PER_CM:
             raise InputError(
                 f"at alpha_scat_per_cm = {alpha_scat_per_cm:g} light flies too far for photons "

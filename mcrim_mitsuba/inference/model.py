@@ -229,12 +229,8 @@ class ResponseModel:
         axes = {axis.name for response in self.switched_on.values() for axis in response.axes}
         unfitted = axes - set(campaign.parameters)
         self._held = {**{n: float(campaign.values[n]) for n in unfitted}, **held(campaign)}
-        self.free = free_parameters(
-            campaign,
-            self._simulated_ranges(),
-            "only {:g}..{:g} is simulated",
-            "give it min and max within that range",
-        )
+        beyond = "only {:g}..{:g} is simulated", "give it min and max within that range"
+        self.free = free_parameters(campaign, self._simulated_ranges(), *beyond)
         #: Place of every free parameter, by its name.
         self.column = {parameter.name: i for i, parameter in enumerate(self.free)}
         self._set_rows()

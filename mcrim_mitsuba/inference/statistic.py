@@ -367,13 +367,9 @@ class Statistic:
         """The error of readings so unlike that no number can hold their chi2."""
         measured = self.model.campaign.measurements
         low, high = (side(measured.in_use, key=lambda r: r.signal / r.sigma) for side in (min, max))
-        return InputError(
-            "the readings cannot be fitted together: they are from "
-            f"{low.signal:g} ± {low.sigma:g} ({low.label}) to {high.signal:g} ± {high.sigma:g} "
-            f"({high.label})",
-            "check their units and errors",
-            path=measured.path,
-        )
+        ends = (f"{end.signal:g} ± {end.sigma:g} ({end.label})" for end in (low, high))
+        problem = f"the readings cannot be fitted together: they are from {' to '.join(ends)}"
+        return InputError(problem, "check their units and errors", path=measured.path)
 
     def side(self, place: int, value: float, curvature: float, slope: float) -> str | None:
         """The bound that a parameter has reached, if any.
