@@ -148,12 +148,9 @@ def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
             column=int(column) if column else None,
         ) from None
     except ValueError:  # Python's limit of the digits of a whole number
-        raise InputError(
-            "a whole number has thousands of digits",
-            "correct it",
-            path=path,
-            line=_line_of(_MANY_DIGITS.search(text), text),
-        ) from None
+        problem = "a whole number has thousands of digits"
+        line = _line_of(_MANY_DIGITS.search(text), text)
+        raise InputError(problem, "correct it", path=path, line=line) from None
     document = TomlDocument(path, content, _lines(text), kind)
     _refuse_monsters(document)
     return document

@@ -114,12 +114,9 @@ def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
             raise editor.refusal(problem, f'write <float name="{index}" value="..."/>', bsdf)
     for part in bsdf.elements:
         if part.get("name") not in INDICES + _FURTHER:
-            raise editor.refusal(
-                f"{bsdf.label} has {part.get('name', part.tag)}, which an interface "
-                "with real polish has not",
-                "remove it",
-                part,
-            )
+            what = f"{bsdf.label} has {part.get('name', part.tag)}"
+            problem = f"{what}, which an interface with real polish has not"
+            raise editor.refusal(problem, "remove it", part)
     if bsdf.type == "dielectric":
         editor.set_attribute(bsdf, "type", "polish")
     editor.insert_last(bsdf, f'<float name="{name}" value="{value}"/>')
@@ -379,12 +376,8 @@ def _sides(
         )
         side = covered & stretched if shape.type in _FLAT else None
         if not side:
-            raise editor.refusal(
-                f"{shape.label} is no rectangular face of the {what}, {WIDTH} wide, that follows "
-                "the parameters",
-                _FORM,
-                shape,
-            )
+            problem = f"{shape.label} is no rectangular face of the {what}, {WIDTH} wide"
+            raise editor.refusal(f"{problem}, that follows the parameters", _FORM, shape)
         sides[side.pop()].append(shape)
     for name, faces in sides.items():
         if not faces:

@@ -122,14 +122,11 @@ class EtaSurface:
                 f"{alpha_abs_per_cm:g} too few photons tell eta: its error is {100 * sigma:.2g} %",
                 "simulate more photons, or a scattering and an absorption nearer to these",
             )
-        return EtaPoint(
-            eta=eta,
-            sigma=sigma * eta,
-            gradient={
-                ALPHA_SCAT: eta * float(by_scattering @ log_eta @ absorption) / math.exp(place),
-                ALPHA_ABS: eta * float(scattering @ log_eta @ by_absorption) / math.exp(across),
-            },
-        )
+        gradient = {
+            ALPHA_SCAT: eta * float(by_scattering @ log_eta @ absorption) / math.exp(place),
+            ALPHA_ABS: eta * float(scattering @ log_eta @ by_absorption) / math.exp(across),
+        }
+        return EtaPoint(eta=eta, sigma=sigma * eta, gradient=gradient)
 
     def answer(self, point: Coefficients) -> EtaPoint | None:
         """`evaluate`; None where it refuses."""
@@ -259,10 +256,8 @@ class EtaRun:
         run = request.run
         self.request, self.most = request, run.photons_or(MOST_PHOTONS)
         self._grid = request.grid
-        scattering, (least_absorption, _) = (
-            self._grid.alpha_scat_range_per_cm,
-            self._grid.alpha_abs_range_per_cm,
-        )
+        least_absorption, _ = self._grid.alpha_abs_range_per_cm
+        scattering = self._grid.alpha_scat_range_per_cm
         self._proposals = choose_proposals(*scattering, least_absorption)
         self._tables: list[EtaGrid] = []
         self._photons_of: list[int] = []

@@ -124,12 +124,9 @@ def free_parameters(
         low, high = ranges[parameter.name]
         least, most = max(parameter.minimum, low), min(parameter.maximum, high)
         if least >= most:
-            raise InputError(
-                f"{parameter.name} may be {parameter.minimum:g}..{parameter.maximum:g}, but "
-                + known.format(low, high),
-                mend,
-                path=campaign.path,
-            )
+            limits = f"{parameter.name} may be {parameter.minimum:g}..{parameter.maximum:g}"
+            problem = f"{limits}, but {known.format(low, high)}"
+            raise InputError(problem, mend, path=campaign.path)
         start = min(max(parameter.start, least), most)
         parameters[place] = replace(parameter, start=start, minimum=least, maximum=most)
     return tuple(parameters)

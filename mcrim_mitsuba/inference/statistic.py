@@ -416,15 +416,9 @@ class Statistic:
 
     def errors_before_any_fit(self) -> ErrorMatrices:
         """Covariance without a model: shared errors from the readings, no Monte Carlo error."""
-        none = np.zeros((len(self.signal), 0))
-        return ErrorMatrices(
-            self.variance,
-            self._shared * self.signal,
-            self._mountings,
-            none,
-            none,
-            self._of_pedestal(self.signal),
-        )
+        none, shared = np.zeros((len(self.signal), 0)), self._shared * self.signal
+        of_pedestal = self._of_pedestal(self.signal)
+        return ErrorMatrices(self.variance, shared, self._mountings, none, none, of_pedestal)
 
     def _of_pedestal(self, signal: Array) -> Array:
         """(used, sources) what readings of light share by their calibration and background."""
