@@ -100,10 +100,8 @@ class Guard:
                 "printed, all of it; every start makes a new one",
             )
         if not self._is_at_home(environ):
-            return _refuse(
-                HTTPStatus.FORBIDDEN,
-                "another web page sent this request: open the address that mcrim app printed",
-            )
+            words = "another web page sent this request: open the address that mcrim app printed"
+            return _refuse(HTTPStatus.FORBIDDEN, words)
         return _refusal_of_form(environ)
 
     def _is_at_home(self, environ: WSGIEnvironment) -> bool:

@@ -136,10 +136,8 @@ def _transmittance_rows(etas: Mapping[str, float]) -> Iterator[ArticleRow]:
     what, percent = "the same into a sphere", 100 * etas["sphere"]
     remark = "all that is scattered forward and leaves is taken"
     yield compare(what, paper, percent, inconsistent=True, remark=remark)
-    what, percent = (
-        f"{what}, scattering forward (g = {_FORWARD_G:g})",
-        100 * etas["forward, sphere"],
-    )
+    what += f", scattering forward (g = {_FORWARD_G:g})"
+    percent = 100 * etas["forward, sphere"]
     remark = (
         f"the nearest single rescue, at a ratio of {ratio:.3f} where {p.RATIO.text} was "
         "measured: more scattering mends this and spoils the transmittance"

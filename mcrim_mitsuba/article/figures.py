@@ -94,8 +94,7 @@ def draw_efficiency(lines: Sequence[SimulatedLine]) -> style.Drawing:
         if line.polarised is polarised
         for point in _points(line, place)
     ]
-    figure = style.canvas()
-    axes = figure.add_subplot()
+    figure, axes = style.axes_of()
     for line, (place, dashes) in itertools.product(lines, enumerate(("--", "-"))):
         _draw_curve(axes, line, place, 100.0, ls=dashes)
         if not line.polarised:
@@ -122,8 +121,7 @@ def draw_efficiency(lines: Sequence[SimulatedLine]) -> style.Drawing:
 def draw_ratio(lines: Sequence[SimulatedLine]) -> style.Drawing:
     """Fig. 4: R against alpha_scat, the measured band and the scattering coefficient."""
     rows = [(line.polarised, *point) for line in lines for point in _points(line, _RATIO)]
-    figure = style.canvas()
-    axes = figure.add_subplot()
+    figure, axes = style.axes_of()
     ratio, error = p.RATIO.value, p.RATIO.stated_sigma
     axes.axhspan(ratio - error, ratio + error, color=style.PALE, lw=0)
     axes.axhline(ratio, color=style.GREY, lw=0.9)
@@ -149,8 +147,7 @@ def draw_contradiction(
     lines: Sequence[SimulatedLine], contradiction: Contradiction
 ) -> style.Drawing:
     """The three numbers of one crystal beside the model, and what may be missing in it."""
-    figure = style.canvas(11.0, 4.4)
-    axes, bars = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+    figure, (axes, bars) = style.axes_of(11.0, 4.4, 1, 2, width_ratios=(1.15, 1.0))
     # the measured ratio and transmittance beside what the model allows
     for line in lines:
         if line.polarised:

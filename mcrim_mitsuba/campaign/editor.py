@@ -110,12 +110,9 @@ def _text(document: tomlkit.TOMLDocument, campaign: Campaign) -> str:
     except tomllib.TOMLDecodeError:
         sound = False
     if not sound:
-        raise InputError(
-            "the campaign is laid out so that nothing can be added",
-            "write a table for each parameter, such as [parameters.alpha_scat_per_cm], and each "
-            "table once",
-            path=campaign.path,
-        )
+        problem = "the campaign is laid out so that nothing can be added"
+        mend = "write a table for each parameter, such as [parameters.alpha_scat_per_cm]"
+        raise InputError(problem, f"{mend}, and each table once", path=campaign.path)
     return text
 
 

@@ -360,11 +360,10 @@ def read_light_yield(
             mend = "remove it: it is a part of detector_efficiency_sigma"
             raise table.refusal(schema.SHARED_SIGMA, problem, mend)
         if common > sigma:
-            raise table.refusal(
-                "detector_efficiency_sigma",
-                f"detector_efficiency_sigma is less than the {100 * shared:g} % that samples share",
-                f"it is the whole error: give more than {common:.2g}",
-            )
+            name = "detector_efficiency_sigma"
+            problem = f"{name} is less than the {100 * shared:g} % that samples share"
+            mend = f"it is the whole error: give more than {common:.2g}"
+            raise table.refusal(name, problem, mend)
         parts, sigma = None, math.sqrt(sigma**2 - common**2)
     efficiency, sigma = detector.factor * efficiency, detector.factor * sigma
     errors = {origin: detector.factor * part for origin, part in (parts or {}).items()}

@@ -70,9 +70,8 @@ class TomlDocument:
         for name in content:
             if entries is not None and name not in entries:
                 where = f"[{key}]" if key else self.kind
-                raise table.refusal(
-                    name, f"{where} has no entry {name}", did_you_mean(name, entries)
-                )
+                problem = f"{where} has no entry {name}"
+                raise table.refusal(name, problem, did_you_mean(name, entries))
         return table
 
 
@@ -149,12 +148,9 @@ def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
             column=int(column) if column else None,
         ) from None
     except ValueError:  # Python's limit of the digits of a whole number
-        raise InputError(
-            "a whole number has thousands of digits",
-            "correct it",
-            path=path,
-            line=_line_of(_MANY_DIGITS.search(text), text),
-        ) from None
+        problem = "a whole number has thousands of digits"
+        line = _line_of(_MANY_DIGITS.search(text), text)
+        raise InputError(problem, "correct it", path=path, line=line) from None
     document = TomlDocument(path, content, _lines(text), kind)
     _refuse_monsters(document)
     return document
@@ -165,12 +161,8 @@ def _line_of(match: re.Match[str] | None, text: str) -> int | None:
 
 
 def _too_deep(path: Path, line: int | None) -> InputError:
-    return InputError(
-        f"tables or lists are nested more than {_DEEPEST} deep",
-        "is this the file you meant?",
-        path=path,
-        line=line,
-    )
+    problem = f"tables or lists are nested more than {_DEEPEST} deep"
+    return InputError(problem, "is this the file you meant?", path=path, line=line)
 
 
 def _refuse_monsters(document: TomlDocument) -> None:

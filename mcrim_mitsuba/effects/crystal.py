@@ -7,7 +7,14 @@ from functools import partial
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
+from mcrim_mitsuba.effects.effect import (
+    Columns,
+    Effect,
+    EffectParameter,
+    Parameters,
+    Values,
+    one_parameter,
+)
 from mcrim_mitsuba.effects.scene_edits import WAVELENGTH, set_numbers, set_phase, wavelength_of
 from mcrim_mitsuba.optics.emission_band import USUAL_NM, USUAL_WIDTH_NM, scattering_of_colours
 from mcrim_mitsuba.scene.editor import SceneEditor
@@ -63,19 +70,17 @@ ANISOTROPIC_SCATTERING = Effect(
         "has the mean cosine g."
     ),
     source="L. G. Henyey and J. L. Greenstein, Astrophysical Journal 93 (1941) 70",
-    parameters=(
-        EffectParameter(
-            name="scattering_g",
-            meaning="Mean cosine of the scattering angle in the crystal, 0 if isotropic",
-            minimum=-0.5,
-            maximum=0.95,
-            start=0.3,
-            plausible=(0.0, 0.9),
-            nodes=(-0.5, 0.3, 0.6, 0.8, 0.9, 0.95),
-            # light forgets its direction with alpha_scat (1 - g)
-            coordinate="logarithmic",
-            scale=-1.0,
-        ),
+    parameters=one_parameter(
+        name="scattering_g",
+        meaning="Mean cosine of the scattering angle in the crystal, 0 if isotropic",
+        minimum=-0.5,
+        maximum=0.95,
+        start=0.3,
+        plausible=(0.0, 0.9),
+        nodes=(-0.5, 0.3, 0.6, 0.8, 0.9, 0.95),
+        # light forgets its direction with alpha_scat (1 - g)
+        coordinate="logarithmic",
+        scale=-1.0,
     ),
     excludes=("rayleigh_scattering",),
     edit=partial(
@@ -139,16 +144,14 @@ SCATTERING_GRADIENT = Effect(
         "alpha_scat (1 + q (2 z / H - 1)), with its mean kept."
     ),
     source="J. A. Burton, R. C. Prim and W. P. Slichter, J. Chem. Phys. 21 (1953) 1987",
-    parameters=(
-        EffectParameter(
-            name="scattering_gradient",
-            meaning="Relative change of alpha_scat from the middle to the top of the crystal",
-            minimum=-1.0,
-            maximum=1.0,
-            start=0.3,
-            plausible=(-0.5, 0.5),
-            nodes=(-1.0, -0.5, 0.5, 1.0),
-        ),
+    parameters=one_parameter(
+        name="scattering_gradient",
+        meaning="Relative change of alpha_scat from the middle to the top of the crystal",
+        minimum=-1.0,
+        maximum=1.0,
+        start=0.3,
+        plausible=(-0.5, 0.5),
+        nodes=(-1.0, -0.5, 0.5, 1.0),
     ),
     edit=edit_scattering_gradient,
     # the path on which a photon can be scattered is not its length here
@@ -198,16 +201,13 @@ SPECTRAL_SCATTERING = Effect(
         "C. F. Bohren and D. R. Huffman, Absorption and Scattering of Light by Small Particles, "
         "Wiley 1983, chapters 4 and 5"
     ),
-    parameters=(
-        EffectParameter(
-            name=_EXPONENT,
-            meaning="Exponent p of the scattering's fall with the wavelength",
-            minimum=0.0,
-            maximum=4.0,
-            start=2.0,
-            plausible=(0.0, 4.0),
-            nodes=(1.0, 2.0, 3.0, 4.0),
-        ),
+    parameters=one_parameter(
+        name=_EXPONENT,
+        meaning="Exponent p of the scattering's fall with the wavelength",
+        maximum=4.0,
+        start=2.0,
+        plausible=(0.0, 4.0),
+        nodes=(1.0, 2.0, 3.0, 4.0),
     ),
     edit=edit_spectral_scattering,
     colours=colours_in_band,
@@ -233,17 +233,15 @@ CRYSTAL_INDEX = Effect(
         "The index decides how much light is trapped and how much a gel frees."
     ),
     source="W. L. Bond, J. Appl. Phys. 36 (1965) 1674",
-    parameters=(
-        EffectParameter(
-            name="n_crystal",
-            meaning="Refractive index of the crystal, as an offset from the scene's",
-            minimum=-0.1,
-            maximum=0.1,
-            start=0.03,
-            plausible=(-0.05, 0.05),
-            nodes=(-0.1, 0.1),
-            nominal="n_crystal",
-        ),
+    parameters=one_parameter(
+        name="n_crystal",
+        meaning="Refractive index of the crystal, as an offset from the scene's",
+        minimum=-0.1,
+        maximum=0.1,
+        start=0.03,
+        plausible=(-0.05, 0.05),
+        nodes=(-0.1, 0.1),
+        nominal="n_crystal",
     ),
     edit=edit_crystal_index,
 )
@@ -255,9 +253,9 @@ _GAMMAS = (
 )
 
 
-def births_behind(name: str, what: str) -> EffectParameter:
+def births_behind(name: str, what: str) -> tuple[EffectParameter]:
     """How deep radiation goes behind a face; `what` begins the parameter's meaning."""
-    return EffectParameter(
+    return one_parameter(
         name=name,
         unit="mm",
         meaning=f"{what} in which the radiation is absorbed to 1/e",
@@ -339,7 +337,7 @@ SOURCE_DEPTH = Effect(
         "with a density proportional to exp(-t / depth), not everywhere alike."
     ),
     source=_GAMMAS,
-    parameters=(births_behind(_DEPTH_MM, "Depth below the top"),),
+    parameters=births_behind(_DEPTH_MM, "Depth below the top"),
     excludes=("side_source",),
     needs=("crystal_height_mm",),
     edit=partial(edit_births, name=_DEPTH_MM, face="top"),
@@ -366,7 +364,7 @@ SIDE_SOURCE = Effect(
         "alike, and nearer to one edge of a mask's hole than to the other."
     ),
     source=_GAMMAS,
-    parameters=(births_behind(_SIDE_MM, "Depth behind the left side"),),
+    parameters=births_behind(_SIDE_MM, "Depth behind the left side"),
     excludes=("source_depth",),
     needs=("crystal_width_mm",),
     edit=partial(edit_births, name=_SIDE_MM, face="left side"),

@@ -6,7 +6,14 @@ from functools import partial
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
+from mcrim_mitsuba.effects.effect import (
+    Columns,
+    Effect,
+    EffectParameter,
+    Parameters,
+    Values,
+    one_parameter,
+)
 from mcrim_mitsuba.effects.scene_edits import (
     WAVELENGTH,
     crystal_box,
@@ -40,12 +47,12 @@ _GROUND = tuple(f"ground_{side}" for side in _SIDES)
 
 def facets_of(
     name: str, what: str, *, ground: bool, start: float = 0.1, most: float = 0.5
-) -> EffectParameter:
+) -> tuple[EffectParameter]:
     """Width of facets of faces, `what`: ground, or of a polish, fitted from `start` to `most`."""
     kind = ", ground and not polished" if ground else ""
     meaning = f"Roughness of the crystal's {what}{kind} (GGX), the tangent of a typical tilt"
     if ground:
-        return EffectParameter(
+        return one_parameter(
             name=name,
             meaning=meaning,
             minimum=0.1,
@@ -57,10 +64,9 @@ def facets_of(
             plausible=(0.1, 0.6),
             nodes=(0.1, 0.16, 0.25, 0.4, 0.6),
         )
-    return EffectParameter(
+    return one_parameter(
         name=name,
         meaning=meaning,
-        minimum=0.0,
         maximum=most,
         start=start,
         plausible=(0.0, POLISHED),
@@ -82,7 +88,7 @@ def one_side(side: str, *, ground: bool, look: str, physics: str) -> Effect:
         look=look,
         physics=physics,
         source=FACETS,
-        parameters=(facets_of(f"{name}_alpha", what, ground=ground),),
+        parameters=facets_of(f"{name}_alpha", what, ground=ground),
         excludes=("surface_roughness", "ground", other),
         edit=partial(roughen, side=side, alpha=f"{name}_alpha"),
     )
@@ -105,7 +111,7 @@ SURFACE_ROUGHNESS = Effect(
         "has alpha of 0.05 at most: see ground."
     ),
     source=FACETS,
-    parameters=(facets_of("roughness_alpha", "faces", ground=False, start=0.05, most=0.3),),
+    parameters=facets_of("roughness_alpha", "faces", ground=False, start=0.05, most=0.3),
     excludes=(*_ROUGH, "ground", *_GROUND),
     edit=partial(polish_crystal, name="roughness_alpha", value="$roughness_alpha"),
 )
@@ -140,19 +146,16 @@ SURFACE_HAZE = Effect(
         "is the scene's wavelength_nm, 540 nm unless another is given."
     ),
     source="H. E. Bennett and J. O. Porteus, J. Opt. Soc. Am. 51 (1961) 123",
-    parameters=(
-        EffectParameter(
-            name="rms_roughness_nm",
-            unit="nm",
-            meaning="Rms height of the fine roughness of the crystal's faces",
-            minimum=0.0,
-            maximum=30.0,
-            start=5.0,
-            plausible=(0.0, 20.0),
-            nodes=(2.0, 5.0, 9.0, 15.0, 22.0, 30.0),
-            coordinate="logarithmic",
-            scale=5.0,
-        ),
+    parameters=one_parameter(
+        name="rms_roughness_nm",
+        unit="nm",
+        meaning="Rms height of the fine roughness of the crystal's faces",
+        maximum=30.0,
+        start=5.0,
+        plausible=(0.0, 20.0),
+        nodes=(2.0, 5.0, 9.0, 15.0, 22.0, 30.0),
+        coordinate="logarithmic",
+        scale=5.0,
     ),
     edit=edit_surface_haze,
 )
@@ -221,7 +224,7 @@ GROUND = Effect(
         "of alpha 0.1 to 0.6 are ground; less is a poor polish: see surface_roughness."
     ),
     source=FACETS,
-    parameters=(facets_of("ground_alpha", "faces", ground=True),),
+    parameters=facets_of("ground_alpha", "faces", ground=True),
     excludes=("surface_roughness", *_ROUGH, *_GROUND),
     edit=partial(polish_crystal, name="roughness_alpha", value="$ground_alpha"),
 )
@@ -304,16 +307,13 @@ SURFACE_ABSORPTION = Effect(
         "described this by a reflection coefficient of the surface below 1."
     ),
     source=_LEVIN,
-    parameters=(
-        EffectParameter(
-            name="surface_loss",
-            meaning="Fraction lost at every internal reflection at a face of the crystal",
-            minimum=0.0,
-            maximum=0.05,
-            start=0.005,
-            plausible=(0.0, 0.03),
-            nodes=(0.002, 0.005, 0.01, 0.02, 0.035, 0.05),
-        ),
+    parameters=one_parameter(
+        name="surface_loss",
+        meaning="Fraction lost at every internal reflection at a face of the crystal",
+        maximum=0.05,
+        start=0.005,
+        plausible=(0.0, 0.03),
+        nodes=(0.002, 0.005, 0.01, 0.02, 0.035, 0.05),
     ),
     edit=partial(edit_loss, name="surface_loss"),
     columns=("reflections",),
@@ -345,18 +345,15 @@ GROUND_LOSS = Effect(
         "scene has ground faces, whose facets do not take any light themselves."
     ),
     source=_LEVIN,
-    parameters=(
-        EffectParameter(
-            name="ground_loss",
-            meaning="Fraction lost each time light from inside meets a ground face of the crystal",
-            minimum=0.0,
-            maximum=0.5,
-            start=0.05,
-            plausible=(0.02, 0.2),
-            nodes=(0.02, 0.05, 0.1, 0.2, 0.35, 0.5),
-            coordinate="logarithmic",
-            scale=0.1,
-        ),
+    parameters=one_parameter(
+        name="ground_loss",
+        meaning="Fraction lost each time light from inside meets a ground face of the crystal",
+        maximum=0.5,
+        start=0.05,
+        plausible=(0.02, 0.2),
+        nodes=(0.02, 0.05, 0.1, 0.2, 0.35, 0.5),
+        coordinate="logarithmic",
+        scale=0.1,
     ),
     excludes=("surface_roughness", *_ROUGH),
     lacks=without_rough_faces,
@@ -430,18 +427,15 @@ EDGE_CHAMFER = Effect(
         "crystal no longer covers borders air."
     ),
     source="G. F. Knoll, Radiation Detection and Measurement, 4th ed., Wiley 2010, chapter 8",
-    parameters=(
-        EffectParameter(
-            name="chamfer_mm",
-            unit="mm",
-            meaning="Leg of the chamfers at the crystal's edges",
-            minimum=0.0,
-            maximum=1.0,
-            start=0.2,
-            plausible=(0.0, 0.5),
-            nodes=(0.12, 0.3, 0.6, 1.0),
-            limits=limits_edge_chamfer,
-        ),
+    parameters=one_parameter(
+        name="chamfer_mm",
+        unit="mm",
+        meaning="Leg of the chamfers at the crystal's edges",
+        maximum=1.0,
+        start=0.2,
+        plausible=(0.0, 0.5),
+        nodes=(0.12, 0.3, 0.6, 1.0),
+        limits=limits_edge_chamfer,
     ),
     excludes=("gap_bubble_round",),
     edit=edit_edge_chamfer,

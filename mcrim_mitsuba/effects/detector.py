@@ -12,6 +12,7 @@ from mcrim_mitsuba.effects.effect import (
     EffectParameter,
     Parameters,
     Values,
+    one_parameter,
     weight_of_reflections,
 )
 from mcrim_mitsuba.effects.scene_edits import WAVELENGTH, set_detector, wavelength_of
@@ -21,9 +22,9 @@ from mcrim_mitsuba.scene.scene_file import SceneFile
 
 def falloff(
     name: str, meaning: str, least: float = 0.0, nodes: tuple[float, ...] = ()
-) -> EffectParameter:
+) -> tuple[EffectParameter]:
     """How far sensitivity falls, or rises below 0: 1 - this times what `meaning` says."""
-    return EffectParameter(
+    return one_parameter(
         name=name,
         meaning=f"Detection falls as 1 - this {meaning}",
         minimum=least,
@@ -66,19 +67,17 @@ PHOTOCATHODE_FILM = Effect(
         "way exclude it."
     ),
     source="D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217",
-    parameters=(
-        EffectParameter(
-            name="cathode_nm",
-            unit="nm",
-            meaning="Thickness of the photocathode, a film between window and vacuum",
-            minimum=10.0,
-            maximum=35.0,
-            start=15.5,
-            # no thickness makes of a film the ideal absorber
-            absent=None,
-            plausible=(10.0, 30.0),
-            nodes=(10.0, 13.0, 18.0, 24.0, 30.0, 35.0),
-        ),
+    parameters=one_parameter(
+        name="cathode_nm",
+        unit="nm",
+        meaning="Thickness of the photocathode, a film between window and vacuum",
+        minimum=10.0,
+        maximum=35.0,
+        start=15.5,
+        # no thickness makes of a film the ideal absorber
+        absent=None,
+        plausible=(10.0, 30.0),
+        nodes=(10.0, 13.0, 18.0, 24.0, 30.0, 35.0),
     ),
     excludes=("detector_reflection", "detector_specular", "detector_angle"),
     edit=edit_photocathode_film,
@@ -113,16 +112,13 @@ DETECTOR_REFLECTION = Effect(
         "return. It is reflected before anything else is decided about it."
     ),
     source="D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217",
-    parameters=(
-        EffectParameter(
-            name="detector_reflectance",
-            meaning="Fraction of the light that the detector sends back into the window",
-            minimum=0.0,
-            maximum=0.5,
-            start=0.1,
-            plausible=(0.0, 0.3),
-            nodes=(0.05, 0.1, 0.2, 0.3, 0.4, 0.5),
-        ),
+    parameters=one_parameter(
+        name="detector_reflectance",
+        meaning="Fraction of the light that the detector sends back into the window",
+        maximum=0.5,
+        start=0.1,
+        plausible=(0.0, 0.3),
+        nodes=(0.05, 0.1, 0.2, 0.3, 0.4, 0.5),
     ),
     excludes=("photocathode_film",),
     edit=partial(set_detector, name="reflectance", value="$detector_reflectance", sends_back=True),
@@ -149,16 +145,13 @@ DETECTOR_SPECULAR = Effect(
         "some too, is decided before."
     ),
     source="D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217",
-    parameters=(
-        EffectParameter(
-            name="detector_specular",
-            meaning="Fraction of the light that the detector reflects as a mirror does",
-            minimum=0.0,
-            maximum=0.5,
-            start=0.1,
-            plausible=(0.0, 0.4),
-            nodes=(0.05, 0.1, 0.2, 0.3, 0.4, 0.5),
-        ),
+    parameters=one_parameter(
+        name="detector_specular",
+        meaning="Fraction of the light that the detector reflects as a mirror does",
+        maximum=0.5,
+        start=0.1,
+        plausible=(0.0, 0.4),
+        nodes=(0.05, 0.1, 0.2, 0.3, 0.4, 0.5),
     ),
     excludes=("photocathode_film",),
     edit=partial(set_detector, name="specular", value="$detector_specular", sends_back=True),
@@ -193,13 +186,11 @@ DETECTOR_ANGLE = Effect(
         "(1 - a (1 - cos theta)) / (1 - a), do not exceed 1."
     ),
     source="D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217",
-    parameters=(
-        falloff(
-            "angular_falloff",
-            "(1 - cos theta), theta inside the window",
-            least=-1.0,
-            nodes=(-1.0, -0.7, -0.35),
-        ),
+    parameters=falloff(
+        "angular_falloff",
+        "(1 - cos theta), theta inside the window",
+        least=-1.0,
+        nodes=(-1.0, -0.7, -0.35),
     ),
     excludes=("photocathode_film",),
     edit=partial(set_detector, name="angular_falloff", value="$angular_falloff"),
@@ -228,7 +219,7 @@ DETECTOR_RADIUS = Effect(
         "1 - b (r / 14 mm)^2 is detected, the rest absorbed; 14 mm whatever the mask."
     ),
     source="Hamamatsu Photonics, Photomultiplier Tubes: Basics and Applications, chapter 4",
-    parameters=(falloff("radial_falloff", "(r / 14 mm)^2 from the axis outwards"),),
+    parameters=falloff("radial_falloff", "(r / 14 mm)^2 from the axis outwards"),
     edit=partial(set_detector, name="radial_falloff", value="$radial_falloff"),
     columns=("arrival_radius_mm",),
     weight=weight_radial_falloff,

@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import Any
+from typing import Any, ParamSpec
 
 import numpy as np
 
@@ -90,7 +90,7 @@ class EffectParameter:
     #: In words, as the comment of the ``<default>`` has it; what is plausible, too.
     meaning: str
     #: The range in which the effect is defined and fitted.
-    minimum: float
+    minimum: float = 0.0
     maximum: float
     #: Where a fit begins, and what `add` writes unless told otherwise.
     start: float
@@ -204,6 +204,18 @@ class EffectParameter:
         if not math.isfinite(self.maximum - self.minimum):
             return self.meaning + unit
         return f"{self.meaning}{unit}: {self.minimum:g} to {self.maximum:g}"
+
+
+_Fields = ParamSpec("_Fields")
+
+
+def _alone(make: Callable[_Fields, EffectParameter]) -> Callable[_Fields, tuple[EffectParameter]]:
+    """What makes a parameter, as what makes a tuple of it alone."""
+    return lambda *given, **fields: (make(*given, **fields),)
+
+
+#: `Effect.parameters` of an effect that has one; takes the fields of an `EffectParameter`.
+one_parameter = _alone(EffectParameter)
 
 
 @dataclass(frozen=True)

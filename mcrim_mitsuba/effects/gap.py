@@ -6,14 +6,7 @@ import math
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import (
-    Columns,
-    Effect,
-    EffectParameter,
-    Parameters,
-    Values,
-    filled,
-)
+from mcrim_mitsuba.effects.effect import Columns, Effect, Parameters, Values, filled, one_parameter
 from mcrim_mitsuba.effects.scene_edits import (
     GAP,
     INDEX_OF_PART,
@@ -63,18 +56,16 @@ GAP_INDEX = Effect(
         "density. A wrong value moves every filled configuration, the empty ones not."
     ),
     source="M. Born and E. Wolf, Principles of Optics, 7th ed., Cambridge 1999, section 2.3",
-    parameters=(
-        EffectParameter(
-            name="gap_index_offset",
-            meaning="Added to the index of the gap wherever that is above 1.0005",
-            minimum=-0.1,
-            maximum=0.1,
-            start=0.02,
-            plausible=(-0.03, 0.03),
-            nodes=(-0.1, -0.06, -0.025, 0.025, 0.06, 0.1),
-            # where the index passes that of the window total reflection begins
-            kinked=True,
-        ),
+    parameters=one_parameter(
+        name="gap_index_offset",
+        meaning="Added to the index of the gap wherever that is above 1.0005",
+        minimum=-0.1,
+        maximum=0.1,
+        start=0.02,
+        plausible=(-0.03, 0.03),
+        nodes=(-0.1, -0.06, -0.025, 0.025, 0.06, 0.1),
+        # where the index passes that of the window total reflection begins
+        kinked=True,
     ),
     filled_only=True,
     edit=edit_gap_index,
@@ -121,18 +112,16 @@ GAP_THICKNESS = Effect(
         "wavelength would couple by frustrated total reflection, which is not meant here.)"
     ),
     source="S. Zhu, A. W. Yu, D. Hawley and R. Roy, American Journal of Physics 54 (1986) 601",
-    parameters=(
-        EffectParameter(
-            name="gap_offset_mm",
-            unit="mm",
-            meaning="Added to the thickness of the gap, whatever is in it",
-            minimum=-0.04,
-            maximum=0.5,
-            start=0.05,
-            plausible=(-0.04, 0.2),
-            nodes=(-0.04, 0.2, 0.5),
-            limits=limits_gap_thickness,
-        ),
+    parameters=one_parameter(
+        name="gap_offset_mm",
+        unit="mm",
+        meaning="Added to the thickness of the gap, whatever is in it",
+        minimum=-0.04,
+        maximum=0.5,
+        start=0.05,
+        plausible=(-0.04, 0.2),
+        nodes=(-0.04, 0.2, 0.5),
+        limits=limits_gap_thickness,
     ),
     edit=edit_gap_thickness,
 )
@@ -169,17 +158,14 @@ GAP_ABSORPTION = Effect(
         "or is reflected to and fro in it, loses most; an empty gap loses nothing."
     ),
     source="J. D. Ingle and S. R. Crouch, Spectrochemical Analysis, Prentice Hall 1988",
-    parameters=(
-        EffectParameter(
-            name="gap_absorption_per_cm",
-            unit="1/cm",
-            meaning="Absorption coefficient of what fills the gap",
-            minimum=0.0,
-            maximum=20.0,
-            start=1.0,
-            plausible=(0.0, 3.0),
-            nodes=(0.5, 1.5, 3.5, 7.0, 11.0, 16.0, 20.0),
-        ),
+    parameters=one_parameter(
+        name="gap_absorption_per_cm",
+        unit="1/cm",
+        meaning="Absorption coefficient of what fills the gap",
+        maximum=20.0,
+        start=1.0,
+        plausible=(0.0, 3.0),
+        nodes=(0.5, 1.5, 3.5, 7.0, 11.0, 16.0, 20.0),
     ),
     excludes=("gel_creep",),
     filled_only=True,
@@ -220,18 +206,15 @@ GAP_BUBBLE = Effect(
         "uncoupled crystal. Here the air takes the strip x < -W/2 + f W of filled gaps."
     ),
     source=_LEO,
-    parameters=(
-        EffectParameter(
-            name="bubble_fraction",
-            meaning="Fraction of the filled gap that is air, from its left side on",
-            minimum=0.0,
-            maximum=0.6,
-            start=0.15,
-            plausible=(0.0, 0.4),
-            nodes=(0.05, 0.1, 0.15, 0.21, 0.28, 0.36, 0.47, 0.6),
-            # where the strip reaches the hole of a mask, what it does begins
-            kinked=True,
-        ),
+    parameters=one_parameter(
+        name="bubble_fraction",
+        meaning="Fraction of the filled gap that is air, from its left side on",
+        maximum=0.6,
+        start=0.15,
+        plausible=(0.0, 0.4),
+        nodes=(0.05, 0.1, 0.15, 0.21, 0.28, 0.36, 0.47, 0.6),
+        # where the strip reaches the hole of a mask, what it does begins
+        kinked=True,
     ),
     excludes=("gap_bubble_round",),
     filled_only=True,
@@ -276,18 +259,15 @@ GAP_BUBBLE_ROUND = Effect(
         "disc about the axis, of this part of the area of the crystal's bottom, in filled gaps."
     ),
     source=_LEO,
-    parameters=(
-        EffectParameter(
-            name="bubble_area_fraction",
-            meaning="Part of the crystal's bottom, a disc in its middle, under which there is air",
-            minimum=0.0,
-            maximum=0.6,
-            start=0.15,
-            plausible=(0.0, 0.4),
-            nodes=(0.08, 0.16, 0.24, 0.31, 0.37, 0.42, 0.46, 0.5, 0.55, 0.6),
-            # where the disc covers the hole of a mask, little light is left, and then no less
-            kinked=True,
-        ),
+    parameters=one_parameter(
+        name="bubble_area_fraction",
+        meaning="Part of the crystal's bottom, a disc in its middle, under which there is air",
+        maximum=0.6,
+        start=0.15,
+        plausible=(0.0, 0.4),
+        nodes=(0.08, 0.16, 0.24, 0.31, 0.37, 0.42, 0.46, 0.5, 0.55, 0.6),
+        # where the disc covers the hole of a mask, little light is left, and then no less
+        kinked=True,
     ),
     excludes=("gap_bubble", "edge_chamfer"),
     filled_only=True,
@@ -361,17 +341,14 @@ GEL_CREEP = Effect(
         "P.-G. de Gennes, F. Brochard-Wyart and D. Quéré, Capillarity and Wetting Phenomena, "
         "Springer 2004, chapter 2"
     ),
-    parameters=(
-        EffectParameter(
-            name="collar_mm",
-            unit="mm",
-            meaning="Height up to which a filled gap's liquid wets the crystal's sides",
-            minimum=0.0,
-            maximum=3.0,
-            start=0.5,
-            plausible=(0.0, 1.5),
-            nodes=(0.25, 0.75, 1.5, 2.25, 3.0),
-        ),
+    parameters=one_parameter(
+        name="collar_mm",
+        unit="mm",
+        meaning="Height up to which a filled gap's liquid wets the crystal's sides",
+        maximum=3.0,
+        start=0.5,
+        plausible=(0.0, 1.5),
+        nodes=(0.25, 0.75, 1.5, 2.25, 3.0),
     ),
     excludes=("gap_absorption",),
     filled_only=True,

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter, Predicted, Rows
+from mcrim_mitsuba.effects.effect import Effect, Predicted, Rows, one_parameter
 
 
 def reading_background(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
@@ -38,18 +38,16 @@ BACKGROUND = Effect(
         "that of the air gap. It is added after a nonlinear readout acts."
     ),
     source="E. H. Bellamy et al., Nucl. Instrum. Meth. A 339 (1994) 468",
-    parameters=(
-        EffectParameter(
-            name="background",
-            meaning="Added to every reading, in the unit of the readings",
-            minimum=-math.inf,
-            maximum=math.inf,
-            start=0.0,
-            plausible=(-math.inf, math.inf),
-            nodes=(),
-            plausible_beside=plausible_beside_background,
-            range_beside=range_beside_background,
-        ),
+    parameters=one_parameter(
+        name="background",
+        meaning="Added to every reading, in the unit of the readings",
+        minimum=-math.inf,
+        maximum=math.inf,
+        start=0.0,
+        plausible=(-math.inf, math.inf),
+        nodes=(),
+        plausible_beside=plausible_beside_background,
+        range_beside=range_beside_background,
     ),
     reading=reading_background,
     order=1,
@@ -99,18 +97,16 @@ NONLINEARITY = Effect(
         "G. F. Knoll, Radiation Detection and Measurement, 4th ed., Wiley 2010, chapter 4; "
         "Hamamatsu Photonics, Photomultiplier Tubes, 3rd ed., 2007, chapter 5"
     ),
-    parameters=(
-        EffectParameter(
-            name="nonlinearity",
-            meaning="k of reading = true / (1 + k true), per unit of the readings",
-            minimum=-0.05,
-            maximum=0.05,
-            start=0.002,
-            plausible=(-0.01, 0.01),
-            nodes=(),
-            plausible_beside=plausible_beside_nonlinearity,
-            range_beside=range_beside_nonlinearity,
-        ),
+    parameters=one_parameter(
+        name="nonlinearity",
+        meaning="k of reading = true / (1 + k true), per unit of the readings",
+        minimum=-0.05,
+        maximum=0.05,
+        start=0.002,
+        plausible=(-0.01, 0.01),
+        nodes=(),
+        plausible_beside=plausible_beside_nonlinearity,
+        range_beside=range_beside_nonlinearity,
     ),
     reading=reading_nonlinearity,
 )
@@ -139,17 +135,15 @@ CELL_SATURATION = Effect(
         "unknown is found as nonlinearity, 1/(2 cells) of this to first order."
     ),
     source="P. Buzhan et al., Nucl. Instrum. Meth. A 504 (2003) 48",
-    parameters=(
-        EffectParameter(
-            name="cells",
-            meaning="Cells that the light falls on, in the unit of the readings: fired cells",
-            minimum=50.0,
-            maximum=1e7,
-            start=3600.0,
-            absent=None,
-            plausible=(100.0, 1e6),
-            nodes=(),
-        ),
+    parameters=one_parameter(
+        name="cells",
+        meaning="Cells that the light falls on, in the unit of the readings: fired cells",
+        minimum=50.0,
+        maximum=1e7,
+        start=3600.0,
+        absent=None,
+        plausible=(100.0, 1e6),
+        nodes=(),
     ),
     excludes=("nonlinearity",),
     reading=reading_cell_saturation,
@@ -179,16 +173,14 @@ GAIN_DRIFT = Effect(
         "in the end, a background included."
     ),
     source="G. F. Knoll, Radiation Detection and Measurement, 4th ed., Wiley 2010, chapter 9",
-    parameters=(
-        EffectParameter(
-            name="gain_drift",
-            meaning="Relative change of the readings from the first to the last row",
-            minimum=-0.1,
-            maximum=0.1,
-            start=0.02,
-            plausible=(-0.03, 0.03),
-            nodes=(-0.1, -0.04, 0.04, 0.1),
-        ),
+    parameters=one_parameter(
+        name="gain_drift",
+        meaning="Relative change of the readings from the first to the last row",
+        minimum=-0.1,
+        maximum=0.1,
+        start=0.02,
+        plausible=(-0.03, 0.03),
+        nodes=(-0.1, -0.04, 0.04, 0.1),
     ),
     reading=reading_gain_drift,
     order=2,
@@ -216,16 +208,14 @@ SAMPLE_SCALE = Effect(
         "plus this, before a nonlinear readout acts. Transmittances know no light yield."
     ),
     source="V. Alenkov et al., JINST 8 (2013) P06002, section 1 (samples of other thickness)",
-    parameters=(
-        EffectParameter(
-            name="sample_scale",
-            meaning="Relative excess of the yield of crystals of other sizes than the scene's",
-            minimum=-0.2,
-            maximum=0.2,
-            start=0.05,
-            plausible=(-0.1, 0.1),
-            nodes=(-0.2, -0.08, 0.08, 0.2),
-        ),
+    parameters=one_parameter(
+        name="sample_scale",
+        meaning="Relative excess of the yield of crystals of other sizes than the scene's",
+        minimum=-0.2,
+        maximum=0.2,
+        start=0.05,
+        plausible=(-0.1, 0.1),
+        nodes=(-0.2, -0.08, 0.08, 0.2),
     ),
     reading=reading_sample_scale,
     order=-1,
@@ -258,16 +248,14 @@ NON_PROPORTIONALITY = Effect(
         "P. Dorenbos, J. T. M. de Haas and C. W. E. van Eijk, IEEE Transactions on Nuclear "
         "Science 42 (1995) 2190"
     ),
-    parameters=(
-        EffectParameter(
-            name="non_proportionality",
-            meaning="Power of the energy with which light per keV rises",
-            minimum=-0.3,
-            maximum=0.3,
-            start=0.02,
-            plausible=(-0.05, 0.08),
-            nodes=(-0.3, -0.1, 0.1, 0.3),
-        ),
+    parameters=one_parameter(
+        name="non_proportionality",
+        meaning="Power of the energy with which light per keV rises",
+        minimum=-0.3,
+        maximum=0.3,
+        start=0.02,
+        plausible=(-0.05, 0.08),
+        nodes=(-0.3, -0.1, 0.1, 0.3),
     ),
     reading=reading_non_proportionality,
     order=-1,

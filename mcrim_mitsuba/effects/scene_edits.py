@@ -114,12 +114,9 @@ def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
             raise editor.refusal(problem, f'write <float name="{index}" value="..."/>', bsdf)
     for part in bsdf.elements:
         if part.get("name") not in INDICES + _FURTHER:
-            raise editor.refusal(
-                f"{bsdf.label} has {part.get('name', part.tag)}, which an interface "
-                "with real polish has not",
-                "remove it",
-                part,
-            )
+            what = f"{bsdf.label} has {part.get('name', part.tag)}"
+            problem = f"{what}, which an interface with real polish has not"
+            raise editor.refusal(problem, "remove it", part)
     if bsdf.type == "dielectric":
         editor.set_attribute(bsdf, "type", "polish")
     editor.insert_last(bsdf, f'<float name="{name}" value="{value}"/>')
@@ -144,11 +141,8 @@ def roughen(editor: SceneEditor, side: str, alpha: str) -> None:
     for face in faces:
         bsdf = editor.bsdf(face)
         if bsdf is None or bsdf not in editor.crystal_polish or "id" not in bsdf.attrib:
-            raise editor.refusal(
-                f"{face.label} does not wear a dielectric with an id",
-                "only faces of plain polish can be changed",
-                face,
-            )
+            problem = f"{face.label} does not wear a dielectric with an id"
+            raise editor.refusal(problem, "only faces of plain polish can be changed", face)
         if bsdf not in copies:
             copies[bsdf] = rough_copy(editor, bsdf, side, f"${alpha}")
         for ref in face.elements:
@@ -382,12 +376,8 @@ def _sides(
         )
         side = covered & stretched if shape.type in _FLAT else None
         if not side:
-            raise editor.refusal(
-                f"{shape.label} is no rectangular face of the {what}, {WIDTH} wide, that follows "
-                "the parameters",
-                _FORM,
-                shape,
-            )
+            problem = f"{shape.label} is no rectangular face of the {what}, {WIDTH} wide"
+            raise editor.refusal(f"{problem}, that follows the parameters", _FORM, shape)
         sides[side.pop()].append(shape)
     for name, faces in sides.items():
         if not faces:

@@ -10,9 +10,9 @@ from mcrim_mitsuba.effects.detector import sends_back_no_more
 from mcrim_mitsuba.effects.effect import (
     Columns,
     Effect,
-    EffectParameter,
     Parameters,
     Values,
+    one_parameter,
     weight_of_reflections,
 )
 from mcrim_mitsuba.effects.scene_edits import crystal_box, element, set_masks, set_part
@@ -68,16 +68,13 @@ TOP_REFLECTOR = Effect(
         "tape in several layers reflects up to 99 %, paper and aluminium less."
     ),
     source="M. Janecek and W. W. Moses, IEEE Transactions on Nuclear Science 55 (2008) 2432",
-    parameters=(
-        EffectParameter(
-            name="top_reflectance",
-            meaning="Fraction of the light that the reflector on the top reflects",
-            minimum=0.0,
-            maximum=0.99,
-            start=0.5,
-            plausible=(0.0, 0.98),
-            nodes=(0.2, 0.4, 0.6, 0.75, 0.9, 0.99),
-        ),
+    parameters=one_parameter(
+        name="top_reflectance",
+        meaning="Fraction of the light that the reflector on the top reflects",
+        maximum=0.99,
+        start=0.5,
+        plausible=(0.0, 0.98),
+        nodes=(0.2, 0.4, 0.6, 0.75, 0.9, 0.99),
     ),
     edit=edit_top_reflector,
     columns=("reflector_hits",),
@@ -148,19 +145,16 @@ WRAP_CONTACT = Effect(
         "M. Janecek and W. W. Moses, IEEE Transactions on Nuclear Science 57 (2010) 964 (crystals "
         "with reflectors behind air, and glued on)"
     ),
-    parameters=(
-        EffectParameter(
-            name="wrap_contact",
-            meaning="Probability that light from inside finds no film of air before the wrapping",
-            minimum=0.0,
-            maximum=1.0,
-            start=0.1,
-            plausible=(0.02, 0.5),
-            # a few contacts free the light that a clear crystal traps
-            nodes=(0.005, 0.02, 0.08, 0.25, 0.6, 1.0),
-            coordinate="logarithmic",
-            scale=0.01,
-        ),
+    parameters=one_parameter(
+        name="wrap_contact",
+        meaning="Probability that light from inside finds no film of air before the wrapping",
+        maximum=1.0,
+        start=0.1,
+        plausible=(0.02, 0.5),
+        # a few contacts free the light that a clear crystal traps
+        nodes=(0.005, 0.02, 0.08, 0.25, 0.6, 1.0),
+        coordinate="logarithmic",
+        scale=0.01,
     ),
     lacks=without_film,
     edit=partial(edit_wrapping, name="contact", value="$wrap_contact"),
@@ -180,16 +174,13 @@ WRAP_SPECULAR = Effect(
         "may go round until it scatters."
     ),
     source="M. Janecek and W. W. Moses, IEEE Transactions on Nuclear Science 55 (2008) 2432",
-    parameters=(
-        EffectParameter(
-            name="wrap_specular",
-            meaning="Part of what the wrapping reflects that goes as from a mirror",
-            minimum=0.0,
-            maximum=1.0,
-            start=0.2,
-            plausible=(0.0, 1.0),
-            nodes=(0.3, 0.65, 1.0),
-        ),
+    parameters=one_parameter(
+        name="wrap_specular",
+        meaning="Part of what the wrapping reflects that goes as from a mirror",
+        maximum=1.0,
+        start=0.2,
+        plausible=(0.0, 1.0),
+        nodes=(0.3, 0.65, 1.0),
     ),
     lacks=without_wrapping,
     edit=partial(edit_wrapping, name="specular", value="$wrap_specular"),
@@ -215,18 +206,15 @@ WRAP_MISSING = Effect(
         "reflection."
     ),
     source="D. G. Goebel, Applied Optics 6 (1967) 125 (ports of integrating spheres)",
-    parameters=(
-        EffectParameter(
-            name="wrap_missing",
-            meaning="Part of the sides' area, from the bottom edge upwards, that is not wrapped",
-            minimum=0.0,
-            maximum=0.3,
-            start=0.03,
-            plausible=(0.01, 0.2),
-            nodes=(0.01, 0.03, 0.07, 0.12, 0.2, 0.3),
-            coordinate="logarithmic",
-            scale=0.05,
-        ),
+    parameters=one_parameter(
+        name="wrap_missing",
+        meaning="Part of the sides' area, from the bottom edge upwards, that is not wrapped",
+        maximum=0.3,
+        start=0.03,
+        plausible=(0.01, 0.2),
+        nodes=(0.01, 0.03, 0.07, 0.12, 0.2, 0.3),
+        coordinate="logarithmic",
+        scale=0.05,
     ),
     lacks=without_wrapped_sides,
     edit=partial(edit_wrapping, name="missing", value="$wrap_missing"),
@@ -330,19 +318,16 @@ MASK_OFFSET = Effect(
         "the crystal. Mask and detector axis are shifted along x; crystal, gap and window stay."
     ),
     source="V. Alenkov et al., JINST 8 (2013) P06002, section 5 (the bench)",
-    parameters=(
-        EffectParameter(
-            name="mask_offset_mm",
-            unit="mm",
-            meaning="Shift of mask and detector axis along x against the crystal",
-            minimum=0.0,
-            maximum=6.0,
-            start=1.0,
-            plausible=(0.0, 3.0),
-            nodes=(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0),
-            # where the hole begins to cut the crystal's foot
-            kinked=True,
-        ),
+    parameters=one_parameter(
+        name="mask_offset_mm",
+        unit="mm",
+        meaning="Shift of mask and detector axis along x against the crystal",
+        maximum=6.0,
+        start=1.0,
+        plausible=(0.0, 3.0),
+        nodes=(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0),
+        # where the hole begins to cut the crystal's foot
+        kinked=True,
     ),
     # the hole of the mask, and the axis of the detector's sensitivity
     edit=partial(
@@ -372,16 +357,13 @@ HOUSING_REFLECTION = Effect(
         "crystal too where the hole is smaller than that; its lower side is black."
     ),
     source="J. L. Marshall et al., Proc. SPIE 9147 (2014) 91474F (reflectance of black materials)",
-    parameters=(
-        EffectParameter(
-            name="housing_reflectance",
-            meaning="Fraction of the light that the mask's upper side reflects diffusely",
-            minimum=0.0,
-            maximum=0.2,
-            start=0.05,
-            plausible=(0.0, 0.1),
-            nodes=(0.03, 0.07, 0.13, 0.2),
-        ),
+    parameters=one_parameter(
+        name="housing_reflectance",
+        meaning="Fraction of the light that the mask's upper side reflects diffusely",
+        maximum=0.2,
+        start=0.05,
+        plausible=(0.0, 0.1),
+        nodes=(0.03, 0.07, 0.13, 0.2),
     ),
     edit=partial(
         set_masks,
@@ -431,21 +413,19 @@ FORWARD_BEAM = Effect(
         "evenly."
     ),
     source="ASTM D1003: haze is what leaves at more than 2.5 degrees to the beam",
-    parameters=(
-        EffectParameter(
-            name=ACCEPTANCE,
-            unit="degrees",
-            meaning="Largest angle to the beam that the detector takes, as an offset from [beam]",
-            minimum=-89.0,
-            maximum=89.0,
-            start=1.0,
-            plausible=(-4.0, 10.0),
-            nodes=(-4.5, -3.5, -2.0, 3.0, 8.0, 15.0, 25.0),
-            nominal=ACCEPTANCE,
-            coordinate="logarithmic",
-            scale=6.0,
-            limits=limits_forward_beam,
-        ),
+    parameters=one_parameter(
+        name=ACCEPTANCE,
+        unit="degrees",
+        meaning="Largest angle to the beam that the detector takes, as an offset from [beam]",
+        minimum=-89.0,
+        maximum=89.0,
+        start=1.0,
+        plausible=(-4.0, 10.0),
+        nodes=(-4.5, -3.5, -2.0, 3.0, 8.0, 15.0, 25.0),
+        nominal=ACCEPTANCE,
+        coordinate="logarithmic",
+        scale=6.0,
+        limits=limits_forward_beam,
     ),
     columns=("arrival_angle_deg",),
     weight=weight_forward_beam,

@@ -45,12 +45,9 @@ def refuse_untrusted(folder: Path, path: str | None = None, line: int | None = N
     names = ", ".join(sorted(file.name for file in folder.glob("*.py")))
     if not names:  # nothing would be: that no effect is there is the catalogue's to say
         return
-    error = UntrustedEffectsError(
-        f"the Python in {folder} would be executed ({names})",
-        "read these files; then say --trust-effects, or trust_effects=True in Python",
-        path=path,
-        line=line,
-    )
+    problem = f"the Python in {folder} would be executed ({names})"
+    mend = "read these files; then say --trust-effects, or trust_effects=True in Python"
+    error = UntrustedEffectsError(problem, mend, path=path, line=line)
     error.folder = folder
     raise error
 

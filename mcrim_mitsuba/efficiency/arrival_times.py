@@ -140,11 +140,8 @@ class ArrivalTimes(OverAxes):
         for name in moments.split():
             of_photons = [getattr(photons, name) for photons in self.first]
             values[f"first_{name}"] = ("born", "photon"), np.array(of_photons)
-        axes = {
-            "time_ps": self.time_ps,
-            "born": [photons.born for photons in self.first],
-            "photon": np.arange(1, len(self.first[0].mean_ps) + 1),
-        }
+        born, number = [p.born for p in self.first], np.arange(1, len(self.first[0].mean_ps) + 1)
+        axes = {"time_ps": self.time_ps, "born": born, "photon": number}
         return self.dataset(values, axes, **numbers, detected=self.detected)
 
 

@@ -101,10 +101,8 @@ class EtaSurface:
         for name, value, (low, high) in zip((ALPHA_SCAT, ALPHA_ABS), point, ranges, strict=True):
             # a fit's bounds come back from logarithms: allow for their rounding
             if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
-                raise InputError(
-                    f"{name} = {value:g} is outside {low:g}..{high:g}, what was simulated",
-                    "simulate a range that holds it",
-                )
+                problem = f"{name} = {value:g} is outside {low:g}..{high:g}, what was simulated"
+                raise InputError(problem, "simulate a range that holds it")
         if 0.0 < alpha_scat_per_cm < SMALLEST_PER_CM:
             raise InputError(
                 f"at alpha_scat_per_cm = {alpha_scat_per_cm:g} light flies too far for photons "
@@ -124,14 +122,11 @@ class EtaSurface:
                 f"{alpha_abs_per_cm:g} too few photons tell eta: its error is {100 * sigma:.2g} %",
                 "simulate more photons, or a scattering and an absorption nearer to these",
             )
-        return EtaPoint(
-            eta=eta,
-            sigma=sigma * eta,
-            gradient={
-                ALPHA_SCAT: eta * float(by_scattering @ log_eta @ absorption) / math.exp(place),
-                ALPHA_ABS: eta * float(scattering @ log_eta @ by_absorption) / math.exp(across),
-            },
-        )
+        gradient = {
+            ALPHA_SCAT: eta * float(by_scattering @ log_eta @ absorption) / math.exp(place),
+            ALPHA_ABS: eta * float(scattering @ log_eta @ by_absorption) / math.exp(across),
+        }
+        return EtaPoint(eta=eta, sigma=sigma * eta, gradient=gradient)
 
     def answer(self, point: Coefficients) -> EtaPoint | None:
         """`evaluate`; None where it refuses."""
@@ -261,10 +256,8 @@ class EtaRun:
         run = request.run
         self.request, self.most = request, run.photons_or(MOST_PHOTONS)
         self._grid = request.grid
-        scattering, (least_absorption, _) = (
-            self._grid.alpha_scat_range_per_cm,
-            self._grid.alpha_abs_range_per_cm,
-        )
+        least_absorption, _ = self._grid.alpha_abs_range_per_cm
+        scattering = self._grid.alpha_scat_range_per_cm
         self._proposals = choose_proposals(*scattering, least_absorption)
         self._tables: list[EtaGrid] = []
         self._photons_of: list[int] = []

@@ -179,13 +179,10 @@ def bench_of(simulation: Simulation) -> Bench:
     elif where is None and simulation.integrator.max_depth != meant.integrator.max_depth:
         where = "its max_depth"
     if where is not None:
-        raise InputError(
-            f"the solver without photons knows the bench of {name} only, and this scene differs "
-            f"from it at {where}",
-            "take a bench of that form, or simulate photons",
-            path=path,
-            line=line,
-        )
+        problem = f"the solver without photons knows the bench of {name} only"
+        problem += f", and this scene differs from it at {where}"
+        mend = "take a bench of that form, or simulate photons"
+        raise InputError(problem, mend, path=path, line=line)
     return bench
 
 

@@ -556,31 +556,26 @@ def _solved(
 
 def refuse_other_boxes(bench: Bench) -> None:
     """Refuse what the solver does not know: InputError names the parameter and the mend."""
-    mend = "leave it out, or simulate photons"
+    unknown, mend = "which the solver without photons does not know", "or simulate photons"
     for name in ("polarization", "gap_absorption_per_cm"):
         if getattr(bench, name):
-            raise InputError(f"the solver without photons knows no {name}", mend)
+            problem = f"the solver without photons knows no {name}"
+            raise InputError(problem, f"leave it out, {mend}")
     n, n_gap, n_window = bench.n_crystal, bench.gap_index, bench.n_window
     if edges_in_reach(bench):
-        raise InputError(
-            f"window_width_mm = {bench.window_width_mm:g}: light leaves through the plate's edges, "
-            "which the solver without photons does not know",
-            "take a wider or thinner plate, or simulate photons",
+        where = (
+            f"window_width_mm = {bench.window_width_mm:g}: light leaves through the plate's edges"
         )
+        raise InputError(f"{where}, {unknown}", f"take a wider or thinner plate, {mend}")
     radius, least = bench.aperture_radius_mm, bench.crystal_width_mm / math.sqrt(2.0)
     if n_gap > n_window and radius < least:
-        raise InputError(
-            f"aperture_radius_mm = {radius:g}: the mask lies under the crystal and n_gap is above "
-            "n_window, which the solver without photons does not know",
-            f"take {least:.4g} or more, or simulate photons",
-        )
+        where = "the mask lies under the crystal and n_gap is above n_window"
+        problem = f"aperture_radius_mm = {radius:g}: {where}, {unknown}"
+        raise InputError(problem, f"take {least:.4g} or more, {mend}")
     for name, value, least, why in (
         ("n_crystal", n, math.sqrt(n_gap**2 + 1.0), "light may leave through bottom and sides"),
         ("n_window", n_window, math.sqrt(2.0), "light from air may leave the plate's edges"),
     ):
         if value < least:
-            raise InputError(
-                f"{name} = {value:g}: below {least:.4g} {why}, which the solver without photons "
-                "does not know",
-                "take a larger one, or simulate photons",
-            )
+            problem = f"{name} = {value:g}: below {least:.4g} {why}, {unknown}"
+            raise InputError(problem, f"take a larger one, {mend}")

@@ -202,14 +202,9 @@ class TableGrid:
         """The grid of axes over a scene; errors as `eta_table`."""
         for name, values in ({ALPHA_ABS: [0.0], ALPHA_SCAT: [0.0]} | dict(axes)).items():
             if name not in file.parameters:
-                usual = name in COLUMNS
-                raise InputError(
-                    f"the scene has no parameter {name}",
-                    "a table varies n_gap, alpha_abs_per_cm and alpha_scat_per_cm: declare it"
-                    if usual
-                    else file.mend_of(name),
-                    path=file.path,
-                )
+                mend = "a table varies n_gap, alpha_abs_per_cm and alpha_scat_per_cm: declare it"
+                mend = mend if name in COLUMNS else file.mend_of(name)
+                raise InputError(f"the scene has no parameter {name}", mend, path=file.path)
             if name in axes and name in file.overrides:
                 problem = f"{name} is both varied by the table and given a value"
                 raise InputError(problem, "leave one of them out")

@@ -17,13 +17,7 @@ from mcrim_mitsuba.campaign.known_physics import DEPTH_MM, KnownCrystal
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.run import Provenance, Run
-from mcrim_mitsuba.inference.corrections import (
-    Neglected,
-    NeglectWork,
-    Quantities,
-    Refit,
-    fitted,
-)
+from mcrim_mitsuba.inference.corrections import Neglected, NeglectWork, Quantities, Refit, fitted
 from mcrim_mitsuba.inference.deposit_shift import Places, places_of
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.settings import BUDGETING

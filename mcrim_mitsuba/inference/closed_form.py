@@ -242,11 +242,7 @@ class _Seen:
 
     @classmethod
     def through(
-        cls,
-        around: Surroundings,
-        strips: _Strips,
-        discrepancy: Discrepancy,
-        scale_variance: float,
+        cls, around: Surroundings, strips: _Strips, discrepancy: Discrepancy, scale_variance: float
     ) -> _Seen:
         """What a discrepancy and a factor of the errors make of strips."""
         covariance = around.amplitude**2 * discrepancy.covariance

@@ -15,13 +15,7 @@ from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.inference.drivers import Minimum, newton
-from mcrim_mitsuba.inference.estimates import (
-    corrected,
-    left_out,
-    left_out_error,
-    pulls,
-    rms_pull,
-)
+from mcrim_mitsuba.inference.estimates import corrected, left_out, left_out_error, pulls, rms_pull
 from mcrim_mitsuba.inference.explanations import plausible_ranges
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, SUSPICION

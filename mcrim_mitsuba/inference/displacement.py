@@ -261,12 +261,8 @@ def _strips(
         elif nothing > high - margin:
             z_edges = -np.array(STRIPS.one_sided)[::-1]
     edges = np.clip(parameter.coordinates_of(density.value(z_edges) - origin), at[0], at[-1])
-    ends = move_at(edges)
-    return (
-        np.diff(ndtr(z_edges)),
-        move_at(0.5 * (edges[1:] + edges[:-1])),
-        0.5 * np.diff(ends, axis=0),
-    )
+    ends, middles = move_at(edges), move_at(0.5 * (edges[1:] + edges[:-1]))
+    return np.diff(ndtr(z_edges)), middles, 0.5 * np.diff(ends, axis=0)
 
 
 def _cells(densities: list[PriorDensity], curve: Curve, moves: Array) -> tuple[Array, Array, Array]:

@@ -13,12 +13,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.inference.drivers import (
-    Minimum,
-    best_of,
-    local_minima,
-    newton,
-)
+from mcrim_mitsuba.inference.drivers import Minimum, best_of, local_minima, newton
 from mcrim_mitsuba.inference.evidence import (
     Evidence,
     PriorDensity,

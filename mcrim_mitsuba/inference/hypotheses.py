@@ -258,12 +258,9 @@ def refuse_unlike(campaigns: Sequence[Campaign]) -> None:
                 problem = f"{name} of {another.label} is {given}, but {expected} in {ours.path}"
                 raise theirs.refusal(another, name, problem, mend)
         if _of_scale(first) != _of_scale(other):
-            raise InputError(
-                f"the scale is not treated as in {first.path}",
-                "give [parameters.scale] the same start, prior, min, max and fixed in both, or "
-                "leave it out of both",
-                path=other.path,
-            )
+            mend = "give [parameters.scale] the same start, prior, min, max and fixed in both"
+            mend += ", or leave it out of both"
+            raise InputError(f"the scale is not treated as in {first.path}", mend, path=other.path)
 
 
 def _of_scale(campaign: Campaign) -> tuple[float | None, ...]:

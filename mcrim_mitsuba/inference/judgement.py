@@ -239,20 +239,14 @@ class Judgement:
             return self._of_leading(suspects)
         if self._is_described:
             nothing = probability(weighing.families[NOTHING_MISSING])
-            return Verdict(
-                AMBIGUOUS,
-                f"{quality} ({p_equals(baseline.p_value)}): the readings do not tell whether "
-                f"anything is missing; nothing is ({nothing}), or {self._likeliest()}",
-                self.leading,
-            )
+            reason = f"{quality} ({p_equals(baseline.p_value)}): the readings do not tell whether "
+            reason += f"anything is missing; nothing is ({nothing}), or {self._likeliest()}"
+            return Verdict(AMBIGUOUS, reason, self.leading)
         if suspects and of_instrument > of_effects:
             return _of_suspects(suspects)
-        return Verdict(
-            UNEXPLAINED,
-            f"{quality}, and that an effect of the catalogue explains it has a probability of "
-            f"{probability(of_effects)} only; likeliest is {self._likeliest()}",
-            suspects=suspects,
-        )
+        reason = f"{quality}, and that an effect of the catalogue explains it has a probability of "
+        reason += f"{probability(of_effects)} only; likeliest is {self._likeliest()}"
+        return Verdict(UNEXPLAINED, reason, suspects=suspects)
 
     def _likeliest(self) -> str:
         """The likeliest but for nothing, in words, with its probability."""
@@ -269,13 +263,8 @@ class Judgement:
         quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
         quality += f" ({p_equals(best.p_value)})" if best.p_value is not None else ""
         if suspects:
-            return Verdict(
-                AMBIGUOUS,
-                f"{self._titles(leading)} or {suspects[0].words} may explain the misfit: check the "
-                "reading first",
-                leading,
-                suspects,
-            )
+            words = f"{self._titles(leading)} or {suspects[0].words} may explain the misfit"
+            return Verdict(AMBIGUOUS, f"{words}: check the reading first", leading, suspects)
         named, unsettled = self.named_families, self.unsettled
         if unsettled:
             reason = f"{self._titles(leading)} may explain the misfit: {quality} with the first; "
@@ -320,9 +309,6 @@ def _likeliest_first(shares: dict[str, float]) -> list[str]:
 def _of_suspects(suspects: tuple[Suspect, ...]) -> Verdict:
     """The verdict where wrong readings explain the misfit better than physics."""
     others = f", or {suspects[1].words}" if len(suspects) > 1 else ""
-    return Verdict(
-        UNEXPLAINED,
-        f"{suspects[0].words}{others} explains the misfit better than any effect: check that "
-        "before physics is blamed",
-        suspects=suspects,
-    )
+    better = f"{suspects[0].words}{others} explains the misfit better than any effect"
+    reason = f"{better}: check that before physics is blamed"
+    return Verdict(UNEXPLAINED, reason, suspects=suspects)

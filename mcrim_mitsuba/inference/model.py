@@ -124,12 +124,9 @@ def free_parameters(
         low, high = ranges[parameter.name]
         least, most = max(parameter.minimum, low), min(parameter.maximum, high)
         if least >= most:
-            raise InputError(
-                f"{parameter.name} may be {parameter.minimum:g}..{parameter.maximum:g}, but "
-                + known.format(low, high),
-                mend,
-                path=campaign.path,
-            )
+            limits = f"{parameter.name} may be {parameter.minimum:g}..{parameter.maximum:g}"
+            problem = f"{limits}, but {known.format(low, high)}"
+            raise InputError(problem, mend, path=campaign.path)
         start = min(max(parameter.start, least), most)
         parameters[place] = replace(parameter, start=start, minimum=least, maximum=most)
     return tuple(parameters)
@@ -229,12 +226,8 @@ class ResponseModel:
         axes = {axis.name for response in self.switched_on.values() for axis in response.axes}
         unfitted = axes - set(campaign.parameters)
         self._held = {**{n: float(campaign.values[n]) for n in unfitted}, **held(campaign)}
-        self.free = free_parameters(
-            campaign,
-            self._simulated_ranges(),
-            "only {:g}..{:g} is simulated",
-            "give it min and max within that range",
-        )
+        beyond = "only {:g}..{:g} is simulated", "give it min and max within that range"
+        self.free = free_parameters(campaign, self._simulated_ranges(), *beyond)
         #: Place of every free parameter, by its name.
         self.column = {parameter.name: i for i, parameter in enumerate(self.free)}
         self._set_rows()

@@ -321,13 +321,10 @@ def _rehearsed(planning: Planning, proposed: Campaign, fit: Calibration, run: Ru
         null = NullDistribution(explanations, tried, run.seed)
         weighing = weigh_hypotheses(explanations, null, closed=True)
         capability = Judgement(explanations, null, weighing).capability(run.seed)
+    titles = {name: effect.title for name, effect in possible.items()}
     notes = (*planning.notes, *simulations.refusals, *simulations.provenance().notes)
-    return replace(
-        planning,
-        capability=capability,
-        titles={name: effect.title for name, effect in possible.items()},
-        notes=tuple(dict.fromkeys(notes)),
-    )
+    notes = tuple(dict.fromkeys(notes))
+    return replace(planning, capability=capability, titles=titles, notes=notes)
 
 
 def _configurations(campaign: Campaign, n_gap: Sequence[float] | None) -> list[dict[str, Value]]:

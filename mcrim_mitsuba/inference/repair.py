@@ -130,10 +130,7 @@ def refuse_others_work(target: Path) -> None:
 
 
 def mended_files(
-    campaign: Campaign,
-    fit: Calibration,
-    target: Path,
-    remarks: Mapping[str, str] | None = None,
+    campaign: Campaign, fit: Calibration, target: Path, remarks: Mapping[str, str] | None = None
 ) -> tuple[SceneFile, str]:
     """The mended scene and the text of the mended campaign; nothing is written.
 

@@ -27,21 +27,13 @@ from mcrim_mitsuba.effects.scene_edits import GAP, HEIGHT, WIDTH
 from mcrim_mitsuba.efficiency.attenuation import SOURCE_WIDTH
 from mcrim_mitsuba.efficiency.eta_grid import APERTURE, WINDOW
 from mcrim_mitsuba.efficiency.proposals import Beyond
-from mcrim_mitsuba.efficiency.response_maker import (
-    PLAIN_FACTOR,
-    ResponseMaker,
-)
+from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR, ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Anchor, Responses
 from mcrim_mitsuba.efficiency.schedule import Schedule
 from mcrim_mitsuba.inference.drivers import Minimum, find_minima, newton
 from mcrim_mitsuba.inference.explanations import Models, plausible_priors
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model, result_of
-from mcrim_mitsuba.inference.model import (
-    ResponseModel,
-    acts_on,
-    held,
-    refuse_unnamed_coefficients,
-)
+from mcrim_mitsuba.inference.model import ResponseModel, acts_on, held, refuse_unnamed_coefficients
 from mcrim_mitsuba.inference.settings import EXTENT, ONE_SIGMA, SCREENING, USUAL
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.scene.spectrophotometer import (

@@ -367,13 +367,9 @@ class Statistic:
         """The error of readings so unlike that no number can hold their chi2."""
         measured = self.model.campaign.measurements
         low, high = (side(measured.in_use, key=lambda r: r.signal / r.sigma) for side in (min, max))
-        return InputError(
-            "the readings cannot be fitted together: they are from "
-            f"{low.signal:g} ± {low.sigma:g} ({low.label}) to {high.signal:g} ± {high.sigma:g} "
-            f"({high.label})",
-            "check their units and errors",
-            path=measured.path,
-        )
+        ends = (f"{end.signal:g} ± {end.sigma:g} ({end.label})" for end in (low, high))
+        problem = f"the readings cannot be fitted together: they are from {' to '.join(ends)}"
+        return InputError(problem, "check their units and errors", path=measured.path)
 
     def side(self, place: int, value: float, curvature: float, slope: float) -> str | None:
         """The bound that a parameter has reached, if any.
@@ -420,15 +416,9 @@ class Statistic:
 
     def errors_before_any_fit(self) -> ErrorMatrices:
         """Covariance without a model: shared errors from the readings, no Monte Carlo error."""
-        none = np.zeros((len(self.signal), 0))
-        return ErrorMatrices(
-            self.variance,
-            self._shared * self.signal,
-            self._mountings,
-            none,
-            none,
-            self._of_pedestal(self.signal),
-        )
+        none, shared = np.zeros((len(self.signal), 0)), self._shared * self.signal
+        of_pedestal = self._of_pedestal(self.signal)
+        return ErrorMatrices(self.variance, shared, self._mountings, none, none, of_pedestal)
 
     def _of_pedestal(self, signal: Array) -> Array:
         """(used, sources) what readings of light share by their calibration and background."""

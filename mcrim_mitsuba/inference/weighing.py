@@ -27,12 +27,7 @@ from mcrim_mitsuba.inference.closed_form import (
     weigh_sets,
 )
 from mcrim_mitsuba.inference.compare import BAD_READING, Suspect, WrongRows, suspected
-from mcrim_mitsuba.inference.displacement import (
-    BaselineFrame,
-    NullDistribution,
-    cause_of,
-    curve_of,
-)
+from mcrim_mitsuba.inference.displacement import BaselineFrame, NullDistribution, cause_of, curve_of
 from mcrim_mitsuba.inference.drivers import Minimum, settle
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING, Evidence, evidence_of, log_sum
 from mcrim_mitsuba.inference.explanations import Explanations
@@ -384,12 +379,7 @@ class _Weigher:
         )
 
     def _averaged(
-        self,
-        effects: tuple[str, ...],
-        wrong: tuple[str, ...],
-        around: Surroundings,
-        *,
-        rough: bool,
+        self, effects: tuple[str, ...], wrong: tuple[str, ...], around: Surroundings, *, rough: bool
     ) -> list[tuple[Minimum, Evidence]]:
         """Fits and evidences with wrong readings of every size, in some surroundings."""
         explanations, start = self._explanations, self._explanations.fit(effects)

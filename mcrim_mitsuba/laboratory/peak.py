@@ -427,10 +427,8 @@ def _outliers(x: np.ndarray, errors: np.ndarray) -> tuple[int, ...]:
     outliers = []
     for i in range(count):
         others, their_errors = np.delete(x, i), np.delete(errors, i)
-        expected = max(
-            others.var(ddof=1) * count / (count - 1),
-            errors[i] ** 2 + np.mean(their_errors**2) / (count - 1),
-        )
+        by_errors = errors[i] ** 2 + np.mean(their_errors**2) / (count - 1)
+        expected = max(others.var(ddof=1) * count / (count - 1), by_errors)
         t = abs(x[i] - others.mean()) / math.sqrt(expected)
         if 2 * stdtr(count - 2, -t) < _LEAST_P / count:
             outliers.append(i)

@@ -239,10 +239,8 @@ def _start(
     mean = -math.log(max(dark, 1e-4))
     gain = (float(np.average(channels, weights=counts)) - pedestal) / mean
     if not gain > noise or dark > 0.98:
-        raise InputError(
-            "next to nothing lies above the pedestal",
-            "let a twentieth of the events have light, better a half",
-        )
+        mend = "let a twentieth of the events have light, better a half"
+        raise InputError("next to nothing lies above the pedestal", mend)
     numbers = math.ceil((channels[counts > 0].max() - pedestal) / gain) + _BEYOND
     start = {"events": events, "mean": mean, "pedestal": pedestal, "noise": noise, "gain": gain}
     return start, min(numbers, _MOST_NUMBERS)

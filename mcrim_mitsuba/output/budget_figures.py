@@ -68,8 +68,7 @@ def draw_budget(calibration: Calibration) -> style.Drawing:
     ]
     columns = ("parameter", "value", *ErrorPart._fields, "percent_of_value")
     if not fitted:
-        sentence = style.sentence_instead("nothing was fitted: there are no errors")
-        return style.Drawing(sentence, columns, rows)
+        return style.sentence_instead("nothing was fitted: there are no errors", (columns, rows))
     down, across = style.panels_of(len(fitted))
     figure = style.canvas(max(_BUDGET_WIDE * across + 1.3, 7.2), _HIGH * down + 0.9)
     for axes, (name, estimate) in zip(style.panels(figure, len(fitted)), fitted, strict=True):
@@ -190,12 +189,11 @@ def draw_neglected(budget: Budget) -> style.Drawing:
     """
     names, numbers = [n for n in budget.main if n in budget.totals], _neglected_numbers(budget)
     if not names:
-        sentence = style.sentence_instead("a parameter ended at its bound: no budget")
-        return style.Drawing(sentence, *numbers)
+        return style.sentence_instead("a parameter ended at its bound: no budget", numbers)
     rows = _rows(budget, names)
-    figure = style.canvas(_NAMES + _NEGLECTED_WIDE * len(names), 1.5 + _ROW * len(rows))
-    all_axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
-    for axes, name in zip(all_axes, names, strict=True):
+    wide, high, across = _NAMES + _NEGLECTED_WIDE * len(names), 1.5 + _ROW * len(rows), len(names)
+    figure, all_axes = style.axes_of(wide, high, 1, across, sharey=True, squeeze=False)
+    for axes, name in zip(all_axes[0], names, strict=True):
         total = budget.totals[name]
         for place, row in enumerate(rows):
             if name in row.bars:
@@ -266,8 +264,7 @@ def draw_plan(planning: Planning) -> style.Drawing:
     names, of the sets of couplings that bring most, one for all whose curves lie on each other.
     Sets of no use, beside which others' curves would not be told apart, are left out and counted.
     """
-    figure = style.canvas(10.4, 4.6)
-    statistical, total = figure.subplots(1, 2)
+    figure, (statistical, total) = style.axes_of(10.4, 4.6, 1, 2)
     mountings = (planning.cheapest or planning.cheapest_statistical or planning.plans[-1]).mountings
     plans: dict[_Couplings, list[Plan]] = {}
     for plan in sorted(planning.plans, key=lambda p: p.events):

@@ -236,11 +236,7 @@ def _simulation(document: JsonObject) -> Rows:
 #: By a document's kind: what its table is of, and how it is read.
 READERS: dict[str, tuple[str, Reader]] = {
     "simulation": (SIMULATION, _simulation),
-    "fit": (CALIBRATION, _fit),
-    "comparison": (CALIBRATION, _fit),
-    "repair": (CALIBRATION, _fit),
-    "report": (CALIBRATION, _fit),
-    "budget": (CALIBRATION, _fit),
+    **dict.fromkeys("fit comparison repair report budget".split(), (CALIBRATION, _fit)),
     "hypotheses": (HYPOTHESES, _hypotheses),
     "diagnosis": (DIAGNOSIS, _diagnosis),
 }

@@ -454,13 +454,10 @@ def candidates_table(diagnosis: Diagnosis, candidates: Sequence[Candidate], head
 
 def explanation_tables(diagnosis: Diagnosis) -> list[Table]:
     """Effects alone and in pairs, the likeliest first."""
-    alone, pairs = (
-        sentences.likeliest_first(diagnosis, tried)
-        for tried in (diagnosis.candidates, diagnosis.pairs)
-    )
+    titles = "effects, each added alone", "the best pairs of effects"
     return [
-        candidates_table(diagnosis, alone, "effects, each added alone"),
-        candidates_table(diagnosis, pairs, "the best pairs of effects"),
+        candidates_table(diagnosis, sentences.likeliest_first(diagnosis, tried), title)
+        for title, tried in zip(titles, (diagnosis.candidates, diagnosis.pairs), strict=True)
     ]
 
 
@@ -777,15 +774,11 @@ def _totals(errors: Budget) -> Iterator[Piece]:
         return
     corrected = errors.together is not None
     totals = {name: errors.totals[name] for name in errors.main}
-    columns = {
-        "as fitted": [_two_digits(t.value, t.sigma) for t in totals.values()],
-        "and what is left out for good": [
-            _two_digits(t.value, t.sigma_with_neglected) for t in totals.values()
-        ],
-    }
-    as_fitted, lasting = ([cell.text for cell in cells] for cells in columns.values())
-    if as_fitted == lasting:
-        del columns["and what is left out for good"]
+    as_fitted = [_two_digits(t.value, t.sigma) for t in totals.values()]
+    lasting = [_two_digits(t.value, t.sigma_with_neglected) for t in totals.values()]
+    columns = {"as fitted": as_fitted}
+    if [cell.text for cell in as_fitted] != [cell.text for cell in lasting]:
+        columns["and what is left out for good"] = lasting
     if corrected:
         columns["corrected"] = [
             _two_digits(t.corrected, t.corrected_sigma) for t in totals.values()

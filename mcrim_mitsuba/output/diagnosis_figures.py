@@ -185,10 +185,9 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     ]
     longest = max(len(line) for row in rows for line in row.name.split("\n"))
     room = _LABEL_PER_CHARACTER * longest + 0.4
-    figure = style.canvas(room + _BARS_WIDTH + sum(widths), 1.8 + _PER_ROW * max(edges[-1], 4))
-    chances, bars, beside = figure.subplots(
-        1, 3, sharey=True, width_ratios=(*_BARS_WIDTHS, sum(widths))
-    )
+    wide, high = room + _BARS_WIDTH + sum(widths), 1.8 + _PER_ROW * max(edges[-1], 4)
+    parts = {"width_ratios": (*_BARS_WIDTHS, sum(widths))}
+    figure, (chances, bars, beside) = style.axes_of(wide, high, 1, 3, sharey=True, **parts)
     _draw_probabilities(chances, places, rows)
     threshold = _draw_threshold(bars, edges, diagnosis.baseline.chi2, rows)
     _draw_gains(bars, places, rows)
@@ -321,7 +320,7 @@ def draw_next(diagnosis: Diagnosis) -> style.Drawing:
     ]
     if averaged is None or not errors:
         words = "nothing is proposed that would lower the light yield's error"
-        return style.Drawing(style.sentence_instead(words), columns, ())
+        return style.sentence_instead(words, (columns, ()))
     value = averaged.value
     rows: list[tuple[str, float, float, float | None]] = [("now", value, averaged.sigma, None)]
     rows += [
@@ -329,8 +328,7 @@ def draw_next(diagnosis: Diagnosis) -> style.Drawing:
         for words, sigma, otherwise in errors[:_MOST_PROPOSALS]
     ]
     names = [style.in_lines(name, 28) for name, *_ in rows]
-    figure = style.canvas(6.4, 1.2 + 0.6 * len(rows))
-    axes = figure.subplots()
+    figure, axes = style.axes_of(6.4, 1.2 + 0.6 * len(rows))
     axes.axvspan(value - averaged.sigma, value + averaged.sigma, color=style.PALE, lw=0)
     for place, (_, _, sigma, otherwise) in enumerate(rows):
         colour = style.DARK if place else style.WARM
@@ -377,8 +375,7 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
     if len(stairs) == 1:  # dots in empty frames would say no more
         step = stairs[0]
         words = f"nothing was added: χ² = {number(step.chi2)}, ndf {step.ndf}"
-        sentence = style.sentence_instead(f"{words}, {p_equals(step.p_value)}")
-        return style.Drawing(sentence, columns, rows)
+        return style.sentence_instead(f"{words}, {p_equals(step.p_value)}", (columns, rows))
     # a campaign without an absolute light yield has a scale
     light_or_scale = LIGHT_YIELD if any(LIGHT_YIELD in s.parameters for s in stairs) else SCALE
     count = 1 + any(light_or_scale in step.parameters for step in stairs)

@@ -51,11 +51,19 @@ _FEWEST_LETTERS = 16
 _MOST_LETTERS = 300
 
 
-def canvas(width_inches: float = 7.2, height_inches: float = 5.0) -> Figure:
+def canvas(width_inches: float, height_inches: float) -> Figure:
     """An empty figure whose parts find their places themselves."""
     figure = Figure(figsize=(width_inches, height_inches), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def axes_of(
+    width_inches: float = 7.2, height_inches: float = 5.0, *grid: int, **options: Any
+) -> tuple[Figure, Any]:
+    """A `canvas` with one axes, or a `grid` of them: so many below, and beside each other."""
+    figure = canvas(width_inches, height_inches)
+    return figure, figure.subplots(*grid, **options)
 
 
 #: Most panels side by side.
@@ -125,13 +133,6 @@ def paper(alpha: float, pad: float) -> dict[str, Any]:
 def band(axes: Axes, x: np.ndarray, y: np.ndarray, sigma: np.ndarray, **look: Any) -> None:
     """One standard error on either side of a curve."""
     axes.fill_between(x, y - sigma, y + sigma, lw=0, **look)
-
-
-def sentence_instead(text: str) -> Figure:
-    """A figure of one sentence, which says why there is nothing to draw."""
-    figure = canvas(6.0, 1.2)
-    figure.text(0.02, 0.5, text, va="center")
-    return figure
 
 
 def shortened(name: str, most: int = 34) -> str:
@@ -268,6 +269,13 @@ class Drawing:
         picture, numbers = save(self.figure, path), numbers_beside(path)
         write_text(numbers, numbers_text(self.columns, self.rows))
         return picture, numbers
+
+
+def sentence_instead(text: str, numbers: Numbers) -> Drawing:
+    """A drawing of one sentence, which says why there is nothing to draw."""
+    figure = canvas(6.0, 1.2)
+    figure.text(0.02, 0.5, text, va="center")
+    return Drawing(figure, *numbers)
 
 
 # Fitted parameters as axes and titles name them, with their units.

@@ -134,8 +134,7 @@ def _draw_along(
     series: _Series, before: Calibration, after: Calibration | None, unit: str
 ) -> Figure:
     """A curve for each treatment over one number of the bench, and its pulls below."""
-    figure = style.canvas(8.6, 7.4)
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.7, 1))
+    figure, (upper, lower) = style.axes_of(8.6, 7.4, 2, sharex=True, height_ratios=(1.7, 1))
     _bands_of_pulls(lower)
     fits = [(before, (0, (2.2, 1.2))), *([(after, "-")] if after is not None else [])]
     shown = fits[-1][0]
@@ -195,8 +194,8 @@ def _over_readings(
     longest_inches = _PER_CHARACTER * max(map(len, names), default=0)
     width = min(max(8.0, _MARGINS + _PER_READING * len(names)), _WIDEST)
     upright = longest_inches >= 0.85 * (width - _MARGINS) / max(len(names), 1)
-    figure = style.canvas(width, 6.0 + (longest_inches if upright else 0.0))
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=heights)
+    height = 6.0 + (longest_inches if upright else 0.0)
+    figure, (upper, lower) = style.axes_of(width, height, 2, sharex=True, height_ratios=heights)
     size = 5 if _PER_READING * len(names) > _WIDEST else 9.5
     look: dict[str, Any] = {"rotation": 90 if upright else 0, "fontsize": size}
     lower.set_xticks(np.arange(len(names)), names, parse_math=False, **look)
@@ -360,8 +359,7 @@ def draw_profiles(profiles: Sequence[Profile]) -> style.Drawing:
         rows += [(profile.name, *point, _parabola(profile, point[1])) for point in points]
     numbers = ("parameter", "point", "value", "delta_chi2", "delta_chi2_parabola"), rows
     if not profiles:
-        sentence = style.sentence_instead("nothing was fitted: there is no profile to draw")
-        return style.Drawing(sentence, *numbers)
+        return style.sentence_instead("nothing was fitted: there is no profile to draw", numbers)
     # the light yield first: it is what all is done for
     profiles = sorted(profiles, key=lambda profile: profile.name != LIGHT_YIELD)
     down, across = style.panels_of(len(profiles))

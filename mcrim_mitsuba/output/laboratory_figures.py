@@ -78,8 +78,7 @@ def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> style.Numbers:
 @style.styled
 def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> style.Drawing:
     """Histograms of photons per event with their peaks; higher pedestals go out of the picture."""
-    figure = style.canvas(7.2 if len(fitted) <= _MOST_INSIDE else 10.4, 5.0)
-    axes = figure.add_subplot()
+    figure, axes = style.axes_of(7.2 if len(fitted) <= _MOST_INSIDE else 10.4, 5.0)
     handles: list[Artist] = []
     tops = []
     styles = _styles([entry.group for entry in fitted])
@@ -207,10 +206,9 @@ def draw_calibration(histograms: Sequence[Histogram]) -> style.Drawing:
         under = ("background in its live time", first.photons, first.background)
         difference = ("difference", first.photons, first.counts)
         steps[_BACKGROUND_STEP, "photoelectrons"] = [whole, under, difference]
-    figure = style.canvas(7.2, 0.6 + 3.2 * len(steps))
-    panels = figure.subplots(len(steps), 1, squeeze=False)[:, 0]
+    figure, panels = style.axes_of(7.2, 0.6 + 3.2 * len(steps), len(steps), squeeze=False)
     rows: list[Sequence[object]] = []
-    for axes, ((step, unit), curves) in zip(panels, steps.items(), strict=True):
+    for axes, ((step, unit), curves) in zip(panels[:, 0], steps.items(), strict=True):
         for (name, places, events), colour in zip(curves, itertools.cycle(_COLOURS), strict=False):
             axes.stairs(events, _edges(places), color=colour, label=name)
             rows += [(step, name, *row) for row in zip(places, events, strict=True)]
@@ -276,8 +274,7 @@ def _efficiency_numbers(efficiency: DetectorEfficiency) -> style.Numbers:
 @style.styled
 def draw_efficiency(efficiency: DetectorEfficiency) -> style.Drawing:
     """Emission, quantum efficiency and their weighted mean, by Eq. 3 of the article."""
-    figure = style.canvas(7.2, 4.8)
-    axes = figure.add_subplot()
+    figure, axes = style.axes_of(7.2, 4.8)
     emission, curve = efficiency.emission, efficiency.quantum_efficiency
     low, high = _seen(emission)
     shown = (curve.wavelength_nm >= low) & (curve.wavelength_nm <= high)
@@ -328,8 +325,7 @@ def _absorption_numbers(absorption: Absorption) -> style.Numbers:
 def draw_absorption(absorption: Absorption) -> style.Drawing:
     """Transmittances, and the coefficient that they give."""
     emission = absorption.emission
-    figure = style.canvas(7.2, 6.4)
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1))
+    figure, (above, below) = style.axes_of(7.2, 6.4, 2, sharex=True)
     low = min(curve.first_nm for curve in absorption.curves)
     high = max(curve.last_nm for curve in absorption.curves)
     if emission is not None:
@@ -434,8 +430,7 @@ def _fitted(label: str, mounting: Mounting) -> FittedHistogram:
 @style.styled
 def draw_lines(lines: Mapping[str, Sequence[Line]]) -> style.Drawing:
     """Light per energy over that of the highest line, and widths against the light."""
-    figure = style.canvas(9.6, 4.4)
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = style.axes_of(9.6, 4.4, 1, 2)
     rows: list[Sequence[object]] = []
     for (name, of_file), colour in zip(lines.items(), itertools.cycle(_COLOURS), strict=False):
         look: dict[str, Any] = {"color": colour, "fmt": "o", "label": style.shortened(name, 26)}
@@ -479,8 +474,7 @@ _NARROW = 9.0
 def draw_widths(widths: Mapping[str, Sequence[WidthParts]]) -> style.Drawing:
     """A bar for each histogram and place where gammas stop: shares of the variance, which add."""
     rows = [(name, parts) for name, by_place in widths.items() for parts in by_place]
-    figure = style.canvas(9.6, 1.5 + 0.55 * len(rows))
-    axes = figure.subplots()
+    figure, axes = style.axes_of(9.6, 1.5 + 0.55 * len(rows))
     longest = 100.0
     for row, (_, parts) in enumerate(rows):
         left = 0.0

@@ -245,8 +245,7 @@ def draw_spectrum(spectrum: EtaSpectrum) -> style.Drawing:
     """Eta over the wavelength above; below, the light as it is emitted and as it is detected."""
     light = spectrum.light
     nm = light.wavelength_nm
-    figure = style.canvas(8.4, 6.4)
-    above, below = figure.subplots(2, 1, sharex=True)
+    figure, (above, below) = style.axes_of(8.4, 6.4, 2, sharex=True)
     eta, sigma = 100.0 * spectrum.eta, 100.0 * spectrum.eta_sigma
     style.band(above, nm, eta, sigma, color=style.DARK, alpha=0.25)
     above.plot(nm, eta, color=style.DARK, lw=1.8, label="by wavelength")
@@ -288,8 +287,7 @@ _OF_BIRTHS = ((style.DARK, "o", -0.12), (style.WARM, "s", 0.12))
 @style.styled
 def draw_times(times: ArrivalTimes) -> style.Drawing:
     """The histogram with its mean and 10 to 90 %, and the first photons with their rms."""
-    figure = style.canvas(10.4, 4.5)
-    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    figure, (left, right) = style.axes_of(10.4, 4.5, 1, 2, width_ratios=(1.25, 1.0))
     unit, per = ("ns", 1000.0) if times.edges_ps[-1] > _LONG_PS else ("ps", 1.0)
     edges = times.edges_ps / per
     _draw_steps(left, edges, 100.0 * times.part, 100.0 * times.part_sigma, color=style.DARK)
@@ -340,8 +338,7 @@ _HEIGHT = 0.56
 @style.styled
 def draw_fates(lights: Lights) -> style.Drawing:
     """Which fates light meets, one bar per configuration from top to bottom."""
-    figure = style.canvas(9.6, 1.75 + 0.95 * len(lights))
-    axes = figure.subplots()
+    figure, axes = style.axes_of(9.6, 1.75 + 0.95 * len(lights))
     shown = style.ordered(
         fate for _, light in lights for fate, share in light.budget.items() if 100 * share >= _LEAST
     )
@@ -431,16 +428,15 @@ def draw_table(tabulated: EtaTable) -> style.Drawing:
     table_rows = [list(row.values()) for row in tabulated.rows]
     if tabulated.eta.size == 1:  # a dot in an empty frame
         value, sigma = tabulated.eta.item(), tabulated.eta_sigma.item()
-        point = style.sentence_instead(f"one point: η = {pdg(value, sigma)}")
-        return style.Drawing(point, tabulated.columns, table_rows)
+        words = f"one point: η = {pdg(value, sigma)}"
+        return style.sentence_instead(words, (tabulated.columns, table_rows))
     place = list(tabulated.axes).index(along)
     # (lines, points)
     etas, sigmas = (
         np.moveaxis(values, place, -1).reshape(lines, -1)
         for values in (tabulated.eta, tabulated.eta_sigma)
     )
-    figure = style.canvas(7.2, 4.8)
-    axes = figure.subplots()
+    figure, axes = style.axes_of(7.2, 4.8)
     values = tabulated.axes[along]
     numeric = not any(isinstance(value, str | bool) for value in values)
     # what is no number, such as a material, stands evenly

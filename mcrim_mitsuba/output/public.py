@@ -631,10 +631,7 @@ def reduce(
 
 @_public
 def calibrate(
-    campaign: str | Path | Campaign,
-    *,
-    run: Run | None = None,
-    **fields: Unpack[RunFields],
+    campaign: str | Path | Campaign, *, run: Run | None = None, **fields: Unpack[RunFields]
 ) -> campaign_results.FitResult:
     """Fit a campaign: scattering coefficient and light yield, with all their errors.
 

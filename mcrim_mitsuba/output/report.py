@@ -133,8 +133,7 @@ def efficiencies_csv(sections: Sections) -> bytes:
 @style.styled
 def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
     """Efficiencies of two configurations against scattering, and the ratio of their signals."""
-    figure = style.canvas(8.4, 3.9)
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = style.axes_of(8.4, 3.9, 1, 2)
     looks = ({"color": style.WARM, "ls": "--"}, {"color": style.DARK, "ls": "-"})
     names = style.shortened_apart(curve.labels, 24)
     for eta, name, look in zip(curve.eta.T, names, looks, strict=True):

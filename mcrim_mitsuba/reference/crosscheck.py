@@ -62,10 +62,7 @@ class Crosscheck:
 
 
 def crosscheck(
-    scene: str | Path | SceneFile,
-    overrides: Mapping[str, Value] | None = None,
-    *,
-    run: Run = Run(),
+    scene: str | Path | SceneFile, overrides: Mapping[str, Value] | None = None, *, run: Run = Run()
 ) -> Crosscheck:
     """Run a scene in Mitsuba and in the independent tracer and compare every fate.
 

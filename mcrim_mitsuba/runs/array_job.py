@@ -104,11 +104,9 @@ class UnitFolder:
         for file in sorted({*before, *hashes}):
             if before.get(file) != hashes.get(file):
                 theirs, now = (files.get(file, "no such file")[:12] for files in (before, hashes))
-                raise InputError(
-                    f"the parts have read another {file} (SHA-256 {theirs}; here is {now})",
-                    "put it back, or let --units name a new folder and run all parts again",
-                    path=self.path,
-                )
+                problem = f"the parts have read another {file} (SHA-256 {theirs}; here is {now})"
+                mend = "put it back, or let --units name a new folder and run all parts again"
+                raise InputError(problem, mend, path=self.path)
 
     @property
     def files(self) -> list[Path]:

@@ -221,12 +221,9 @@ def size_limit_bytes() -> int:
     except ValueError:
         size_gb = 0.0
     if not 0 < size_gb <= _LARGEST_SIZE_GB:
-        raise InputError(
-            f"'{given}' is no size for the cache",
-            f"give a number of GB above 0, such as {DEFAULT_SIZE_GB:g}; "
-            f"{FOLDER_VARIABLE}=off does without a cache",
-            path=SIZE_VARIABLE,
-        )
+        mend = f"give a number of GB above 0, such as {DEFAULT_SIZE_GB:g}; "
+        mend += f"{FOLDER_VARIABLE}=off does without a cache"
+        raise InputError(f"'{given}' is no size for the cache", mend, path=SIZE_VARIABLE)
     return round(size_gb * BYTES_PER_GB)
 
 

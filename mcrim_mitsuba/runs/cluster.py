@@ -169,11 +169,8 @@ class ClusterExecutor(executors.PoolExecutor):
 
 
 def _lost(address: str) -> InputError:
-    return InputError(
-        "the connection to the scheduler was lost",
-        "what was finished is kept: start it again, and run the same command again",
-        path=address,
-    )
+    mend = "what was finished is kept: start it again, and run the same command again"
+    return InputError("the connection to the scheduler was lost", mend, path=address)
 
 
 def _make_by_value(pickled: bytes, versions: dict[str, str]) -> Contents:

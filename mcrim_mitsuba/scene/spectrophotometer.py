@@ -92,10 +92,8 @@ def spectrophotometer_of(bench: SceneFile) -> SceneFile:
         return bench
     for name in _SIZES:
         if not isinstance(bench.parameters.get(name), float):
-            raise editor.refusal(
-                f"the scene has no parameter {name}",
-                "a transmittance needs the crystal's sizes as parameters of its bench",
-            )
+            mend = "a transmittance needs the crystal's sizes as parameters of its bench"
+            raise editor.refusal(f"the scene has no parameter {name}", mend)
     crystal, faces = editor.crystal, editor.crystal_faces
     for face in faces:
         for side in ("interior", "exterior"):
