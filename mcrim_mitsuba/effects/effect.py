@@ -89,7 +89,7 @@ class EffectParameter:
     name: str
     #: In words, as the comment of the ``<default>`` has it; what is plausible, too.
     meaning: str
-    #: The range in which the effect is defined and fitted.
+    #: The range in which the effect is defined and fitted; usual effects begin at 0.
     minimum: float = 0.0
     maximum: float
     #: Where a fit begins, and what `add` writes unless told otherwise.
