@@ -320,6 +320,20 @@ def test_an_effect_that_a_switch_of_the_scene_is_acts(campaign):
     assert (without != with_it).all()
 
 
+@pytest.mark.parametrize(
+    "name, low, high", [("n_crystal", 1.8, 2.2), ("n_crystal", 1.91, 2.11), ("gap_mm", 0.02, 0.2)]
+)
+def test_nodes_of_a_fitted_number_of_the_scene_stay_in_its_range(campaign, name, low, high):
+    """Of these ranges rounding takes the first or the last one beyond: every verb broke off."""
+    path = campaign.path.with_name("number.toml")
+    number = f"[parameters.{name}]\nmin = {low}\nmax = {high}\n"
+    path.write_text(campaign.path.read_text() + number)
+    responses = ResponseMaker(read_campaign(path), Run(LANES, check=False)).make([])
+    (axis,) = responses.effects[name].axes
+    nodes = [axis.nominal + value for value in axis.values]
+    assert (min(nodes), max(nodes)) == (low, high)
+
+
 def test_an_effect_of_filled_gaps_is_in_no_empty_one(campaign):
     """What an edit does in air does not count: alone it was left out, beside others it was not."""
 
