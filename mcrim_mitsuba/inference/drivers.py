@@ -17,7 +17,7 @@ from iminuit import Minuit
 
 from mcrim_mitsuba.core.descent import Array, minimise
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.inference.settings import SEARCH
+from mcrim_mitsuba.inference.settings import LINEAR, SEARCH
 from mcrim_mitsuba.inference.statistic import Statistic, Weights, inverse, p_value
 
 
@@ -211,8 +211,12 @@ class Minimum:
 
     @cached_property
     def movable(self) -> Array:
-        """Indices of the parameters that no bound stops."""
-        return np.array([i for i, side in enumerate(self.at_bound) if side is None], int)
+        """Indices of the parameters that no bound stops, and that act at all between theirs."""
+        low, high = self.statistic.bounds
+        sigmas = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        acts = high - low > LINEAR.at_bound * sigmas
+        sides = enumerate(self.at_bound)
+        return np.array([i for i, side in sides if side is None and acts[i]], int)
 
     @cached_property
     def precision(self) -> Array:
