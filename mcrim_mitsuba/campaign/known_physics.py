@@ -141,12 +141,21 @@ class KnownCrystal:
         for sample in campaign.samples.values():
             if name == SOURCE_DEPTH and SCALE in sample.own:
                 return f"the sample {sample.name} may be of another material"
+        if name == SOURCE_DEPTH and (energy := _another_line(campaign)) is not None:
+            return f"gammas of {energy:g} keV, which rows are of, stop at another depth"
         try:
             campaign.with_effects([name])
             self.put_into(campaign.scene, name)
         except InputError as error:
             return error.problem
         return None
+
+
+def _another_line(campaign: Campaign) -> float | None:
+    """Energy of a row, keV, that is not that of the light yield; None where there is none."""
+    rows = [row.energy_keV for row in campaign.measurements.readings]
+    own = None if campaign.light_yield is None else campaign.light_yield.energy_keV
+    return next((energy for energy in rows if energy not in (None, own)), None)
 
 
 def with_known_physics(campaign: Campaign) -> Campaign:

@@ -805,9 +805,10 @@ def _as_effect(campaign: Campaign, name: str) -> Effect:
     elif name == ACCEPTANCE:
         first, last = np.log1p(np.array([low, high]) / _ACCEPTANCE_SCALE_DEG)
         nodes = _ACCEPTANCE_SCALE_DEG * np.expm1(chebyshev_nodes(first, last, _ACCEPTANCE_NODES))
-        nodes = np.clip(nodes, low, high)
     else:
         nodes = chebyshev_nodes(low, high, _SCENE_NODES)
+    # rounding takes the first or the last beyond its end
+    nodes = np.clip(nodes, low, high)
     # the scene's value stands in for the nearest of them
     nodes = np.delete(nodes, np.abs(nodes - own).argsort()[:1])
     if size is not None:

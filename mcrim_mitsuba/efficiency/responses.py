@@ -247,16 +247,17 @@ def held_at(
 ) -> EffectResponse:
     """An effect held at a value, or at a value for each part of the light: one that is on or off.
 
-    Values, (values,), are of its one parameter, as the scene takes it (an index, not its offset);
-    `parts`, (values,), of the light, none negative: their sum need not be 1. Over several values
-    eta itself is averaged, not its logarithm: photons of every value are counted.
+    Values, (values,), are of its own parameter, the first, as the scene takes it (an index, not its
+    offset); an acceptance that it depends on besides stays. `parts`, (values,), are of the light,
+    none negative: their sum need not be 1. Over several values eta itself is averaged, not its
+    logarithm: photons of every value are counted.
 
-    Raises ValueError if the response has not one parameter, or one of several values is beyond its
+    Raises ValueError if the response has no parameter, or one of several values is beyond its
     outermost nodes.
     """
-    if len(response.axes) != 1:
-        raise ValueError(f"an effect of {len(response.axes)} parameters held at a value of one")
-    (axis,) = response.axes
+    if not response.axes:
+        raise ValueError("an effect of 0 parameters held at a value of one")
+    axis, *further = response.axes
     values = np.asarray(values, dtype=float)
     low, high = (axis.nominal + end for end in (min(axis.values), max(axis.values)))
     if len(values) > 1 and (values.min() < low or values.max() > high):
@@ -265,8 +266,9 @@ def held_at(
     # (values, nodes): what each node contributes to the logarithm at each value
     nodes = np.array([axis.weights(value)[0] for value in values])
     eta = np.exp(np.tensordot(nodes, response.log_ratio, axes=1))
-    eta *= (np.asarray(parts, dtype=float) / np.sum(parts))[:, None, None, None]
+    share = np.asarray(parts, dtype=float) / np.sum(parts)
+    eta *= share.reshape(-1, *[1] * (eta.ndim - 1))
     total = eta.sum(axis=0)
     of_nodes = np.tensordot(nodes.T, eta / total, axes=1)
-    deviations = np.einsum("nrsa,bnrsa->brsa", of_nodes, response.deviations)
-    return EffectResponse((), np.log(total), deviations.astype(np.float32))
+    deviations = np.einsum("n...,bn...->b...", of_nodes, response.deviations)
+    return EffectResponse(tuple(further), np.log(total), deviations.astype(np.float32))

@@ -210,9 +210,12 @@ class CandidateMaker:
 def determined_estimates(fit: Minimum, evidence: Evidence) -> dict[str, ParameterEstimate]:
     """Parameters of a fit; what readings do not determine has the error that evidence leaves."""
     parameters = estimates(fit)
+    # where bounds had to say something, evidence, which keeps them, says more
+    by_bounds = (fit.known_weight > fit.statistic.prior_weight).any()
+    most = 1.0 if by_bounds else CANDIDATES.undetermined
     for name in fit.names:
         own, sigma = parameters[name], evidence.sigma[name]
-        if own.sigma > CANDIDATES.undetermined * sigma:
+        if own.sigma > most * sigma:
             parameters[name] = replace(
                 own,
                 sigma=sigma,

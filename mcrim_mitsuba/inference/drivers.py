@@ -17,7 +17,7 @@ from iminuit import Minuit
 
 from mcrim_mitsuba.core.descent import Array, minimise
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.inference.settings import SEARCH
+from mcrim_mitsuba.inference.settings import LINEAR, SEARCH
 from mcrim_mitsuba.inference.statistic import Statistic, Weights, inverse, p_value
 
 
@@ -187,9 +187,22 @@ class Minimum:
         return whitened @ whitened.T + np.diag(self.statistic.prior_weight)
 
     @cached_property
+    def known_weight(self) -> Array:
+        """(free,) 1 / variance of what is known of the parameters beforehand.
+
+        That is their priors; and, where the information allows more than a parameter's bounds do,
+        an even distribution between these: what lies beyond must not widen other errors.
+        """
+        low, high = self.statistic.bounds
+        squared = np.square(high - low)
+        beyond = np.diag(inverse(self.information)) > squared
+        return self.statistic.prior_weight + np.where(beyond, 12.0 / squared, 0.0)
+
+    @cached_property
     def covariance(self) -> Array:
-        """(free, free) inverse of the information; what no reading tells has a huge variance."""
-        return inverse(self.information)
+        """(free, free) inverse of the information, with what the bounds tell where that is more."""
+        of_bounds = self.known_weight - self.statistic.prior_weight
+        return inverse(self.information + np.diag(of_bounds))
 
     @cached_property
     def response(self) -> Array:
@@ -198,8 +211,12 @@ class Minimum:
 
     @cached_property
     def movable(self) -> Array:
-        """Indices of the parameters that no bound stops."""
-        return np.array([i for i, side in enumerate(self.at_bound) if side is None], int)
+        """Indices of the parameters that no bound stops, and that act at all between theirs."""
+        low, high = self.statistic.bounds
+        sigmas = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        acts = high - low > LINEAR.at_bound * sigmas
+        sides = enumerate(self.at_bound)
+        return np.array([i for i, side in sides if side is None and acts[i]], int)
 
     @cached_property
     def precision(self) -> Array:

@@ -59,7 +59,13 @@ def even(low: float, high: float) -> PriorDensity:
 def gaussian(mean: float, sigma: float, low: float, high: float) -> PriorDensity:
     """A Gaussian, cut off at the bounds."""
     below, above = ndtr((low - mean) / sigma), ndtr((high - mean) / sigma)
-    return PriorDensity(lambda u: mean + sigma * ndtri(below + (above - below) * u))
+
+    def quantile(u: Array) -> Array:
+        # of a mean below the bounds the last parts round to all of it, which is infinitely far
+        part = np.minimum(below + (above - below) * u, 1.0 - 1e-16)
+        return np.clip(mean + sigma * ndtri(part), low, high)
+
+    return PriorDensity(quantile)
 
 
 def size(absent: float, plausible: tuple[float, float], low: float, high: float) -> PriorDensity:

@@ -415,12 +415,14 @@ class CampaignSimulations:
         All are of light, or all of beams. They are simulated when they are first asked for, with a
         part of the photons, and the bench's numbers count as exact without `tolerances`.
         """
+        # an acceptance that is the instrument's own is as wrong as that, or fitted with it
+        own = {ACCEPTANCE: self.campaign.values.get(ACCEPTANCE)}
         readings = tuple(
             Reading(
                 label=", ".join(f"{n} = {v}" for n, v in each.items()),
                 signal=math.nan,
                 sigma=math.nan,
-                parameters={n: v for n, v in each.items() if n != KIND},
+                parameters={n: v for n, v in each.items() if n != KIND and v != own.get(n)},
                 kind=str(each.get(KIND, LIGHT)),
             )
             for each in configurations

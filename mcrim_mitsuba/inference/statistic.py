@@ -375,9 +375,12 @@ class Statistic:
         """The bound that a parameter has reached, if any.
 
         The curvature is 1 / sigma^2; of two bounds within reach it is the one that the slope of
-        chi2 leads to.
+        chi2 leads to. Of what hardly acts all values are less than sigma apart: a part of the
+        range is near enough then.
         """
         close = LINEAR.at_bound / math.sqrt(curvature) if curvature > 0 else 0.0
+        width = self.free[place].maximum - self.free[place].minimum
+        close = min(close, LINEAR.at_bound * width)
         at_minimum = value - self.free[place].minimum <= close
         at_maximum = self.free[place].maximum - value <= close
         if at_minimum and at_maximum:

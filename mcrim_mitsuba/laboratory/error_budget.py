@@ -223,6 +223,7 @@ ADVICE: dict[str, Advice] = {
         "absorption: a longer sample, several thicknesses; scattering: more couplings and liquids"
     ),
     "prior": Advice(f"what the prior rests on; for absorption {_ABSORPTION}"),
+    "bounds": Advice("a measurement of this number, as its prior: the readings do not tell it"),
     "plausible": Advice("further readings, which determine the size of what is missing"),
     "absorption": Advice(_ABSORPTION),
     "transmittance": Advice(

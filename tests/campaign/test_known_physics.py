@@ -109,6 +109,21 @@ def test_a_sample_of_another_material_is_not_given_this_ones_depth(campaign_of, 
     assert "cawo4 may be of another material" in campaign.physics_note
 
 
+def test_rows_of_another_line_are_not_given_this_ones_depth(campaign_of, scenes, three, tmp_path):
+    """Gammas of 662 keV go through most of the crystal: light of 59.5 keV is born near the top."""
+    table = (scenes / "camoo4_three.csv").read_text().replace(",n_gap", ",n_gap,energy_keV")
+    one = table.replace("1.00\n", "1.00,59.5\n").replace("1.46\n", "1.46,59.5\n")
+    one = one.replace("0.012,", "0.012,,")
+    (tmp_path / "one.csv").write_text(one)
+    assert set(campaign_of(three, "one.csv").known_physics) == {"source_depth", "polarization"}
+    (tmp_path / "two.csv").write_text(f"{one.rstrip()}\n662 keV,light,270,3,1.46,662\n")
+    campaign = campaign_of(three, "two.csv")
+    assert campaign.known_physics == ("polarization",)
+    assert "gammas of 662 keV, which rows are of, stop at another depth" in campaign.physics_note
+    reasons = budget(campaign, run=Run(2048)).not_estimated
+    assert "662 keV" in reasons["source_depth"]
+
+
 def test_a_spectrum_brings_the_index_over_it(scenes, tmp_path):
     """From raw data; and in numbers, as `mcrim reduce` writes them, the model is the same."""
     folder = tmp_path / "scenes" / "raw"

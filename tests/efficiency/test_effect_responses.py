@@ -320,6 +320,20 @@ def test_an_effect_that_a_switch_of_the_scene_is_acts(campaign):
     assert (without != with_it).all()
 
 
+@pytest.mark.parametrize(
+    "name, low, high", [("n_crystal", 1.8, 2.2), ("n_crystal", 1.91, 2.11), ("gap_mm", 0.02, 0.2)]
+)
+def test_nodes_of_a_fitted_number_of_the_scene_stay_in_its_range(campaign, name, low, high):
+    """Of these ranges rounding takes the first or the last one beyond: every verb broke off."""
+    path = campaign.path.with_name("number.toml")
+    number = f"[parameters.{name}]\nmin = {low}\nmax = {high}\n"
+    path.write_text(campaign.path.read_text() + number)
+    responses = ResponseMaker(read_campaign(path), Run(LANES, check=False)).make([])
+    (axis,) = responses.effects[name].axes
+    nodes = [axis.nominal + value for value in axis.values]
+    assert (min(nodes), max(nodes)) == (low, high)
+
+
 def test_an_effect_of_filled_gaps_is_in_no_empty_one(campaign):
     """What an edit does in air does not count: alone it was left out, beside others it was not."""
 
@@ -547,3 +561,24 @@ def test_a_fitted_acceptance_acts_as_in_the_scene(with_beam, of_acceptance, effe
     )
     many = model.predict_many(np.stack([theta, theta + step]))
     assert many[0] == pytest.approx(found.signal, rel=1e-9)
+
+
+@pytest.mark.parametrize("how", ["fitted", "forward_beam"])
+def test_a_proposed_beam_has_the_instrument_s_acceptance_unless_it_says_another(with_beam, how):
+    """One that says the instrument's own had no acceptance at all: a diagnosis broke off."""
+    campaign, effects = with_beam, ("forward_beam",)
+    if how == "fitted":
+        path = with_beam.path.with_name("proposed.toml")
+        path.write_text(
+            with_beam.path.read_text() + "[parameters.acceptance_deg]\nmin = 1\nmax = 30\n"
+        )
+        campaign, effects = read_campaign(path), ()
+    beams = [
+        {"kind": "transmittance", "acceptance_deg": angle, "beam_axis": "z"}
+        for angle in (5.0, 30.0)
+    ]
+    run = Run(16 * LANES, check=False)
+    model = CampaignSimulations(campaign, run).predict_at(beams)(effects)
+    ends = [{**_AT, "acceptance_deg": angle} for angle in (2.0, 25.0)]
+    narrow, wide = (model.predict(np.array([at[p.name] for p in model.free])).eta for at in ends)
+    assert wide[0] > narrow[0] and wide[1] == narrow[1]

@@ -120,6 +120,30 @@ def test_a_mixture_is_the_mean_of_the_efficiencies():
     assert alone.deviations == pytest.approx(response.deviations[:, 2], rel=1e-5)
 
 
+def test_what_an_effect_depends_on_besides_stays_when_it_is_held(scenes, tmp_path):
+    """An acceptance that is fitted is an axis of all that a beam sees: a budget broke off."""
+    response, _ = synthetic_response(np.random.default_rng(4))
+    both = np.stack([response.log_ratio, 2.0 * response.log_ratio], axis=1)
+    batches = np.stack([response.deviations, 2.0 * response.deviations], axis=2)
+    (axis,) = response.axes
+    held = held_at(EffectResponse((axis, axis), both, batches), [1.94, 2.05], [1.0, 2.0])
+    assert held.axes == (axis,)
+    for place, factor in enumerate((1.0, 2.0)):
+        alone = replace(
+            response,
+            log_ratio=factor * response.log_ratio,
+            deviations=np.float32(factor) * response.deviations,
+        )
+        alone = held_at(alone, [1.94, 2.05], [1.0, 2.0])
+        assert held.log_ratio[place] == pytest.approx(alone.log_ratio, rel=1e-12)
+        assert held.deviations[:, place] == pytest.approx(alone.deviations, rel=1e-5, abs=1e-9)
+    text = (scenes / "camoo4_three.toml").read_text().replace('"camoo4', f'"{scenes}/camoo4')
+    text += "[parameters.acceptance_deg]\nmin = 1.0\nmax = 30.0\n[tolerances]\nnone = true\n"
+    (tmp_path / "c.toml").write_text(text)
+    pieces = budgeting.budget(read_campaign(tmp_path / "c.toml"), run=Run(8192, seed=1)).neglected
+    assert "crystal_index" in [piece.name for piece in pieces]
+
+
 def test_the_batches_of_a_mixture_are_its_derivative():
     response, _ = synthetic_response(np.random.default_rng(2))
     values, weights = np.linspace(1.95, 2.05, 5), np.array([1, 2, 3, 2, 1])

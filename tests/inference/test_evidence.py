@@ -135,6 +135,8 @@ def test_evidence_of_a_gaussian_is_its_closed_form():
         (size(0.0, (-0.2, 0.4), -1.0, 1.0), -0.2, 0.4, 0.956),
         (size(2.01, (1.96, 2.06), 1.91, 2.11), 1.96, 2.06, 0.966),
         (even(0.002, 5.0), 0.002, 0.1, 0.5),
+        # of a mean below its bounds, whose far end was infinite
+        (gaussian(-0.02, 0.012, 0.0, 0.3), 0.0, 0.01, 0.87),
     ],
 )
 def test_densities_hold_what_they_say(density, low, high, inside):
@@ -143,6 +145,7 @@ def test_densities_hold_what_they_say(density, low, high, inside):
     assert np.all(np.diff(values) >= 0)
     assert np.mean((values >= low) & (values <= high)) == pytest.approx(inside, abs=0.012)
     assert density.value(np.array([density.z_of(values[6000])]))[0] == pytest.approx(values[6000])
+    assert np.isfinite(density.value(np.array([-40.0, 40.0]))).all()
 
 
 def weighing(hypotheses):

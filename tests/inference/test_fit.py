@@ -852,6 +852,35 @@ def test_a_further_scene_parameter_is_interpolated(campaign):
     assert result.notes == ()
 
 
+def test_what_hardly_acts_widens_no_error_beyond_what_its_bounds_allow(campaign):
+    """Of a gap that changes 0.02 % at most the readings say nothing, within its bounds or beyond.
+
+    By linear theory alone it took the ratio of the readings along: what they tell of the scattering
+    was lost, and all places within the bounds counted as being at one.
+    """
+
+    def surfaces(parameters):
+        base, slope = (air, 1e-3) if parameters["n_gap"] == 1.0 else (gel, 0.0)
+        lost = math.exp(-slope * parameters["gap_mm"])
+        return FormulaSurface(lambda a_s, a_a: base(a_s, a_a) * lost, 1e-5)
+
+    rows = "label,signal,sigma,n_gap\n" + "".join(
+        f"{n},{60 * of(0.3, 0.039)},{60 * of(0.3, 0.039) * 2e-3},{n}\n"
+        for n, of in ((1.0, air), (1.46, gel))
+    )
+    known = ALPHA + "prior = 0.3\nprior_sigma = 0.5\n"
+    gap = "[parameters.gap_mm]\nstart = 0.05\nmin = 0.0\nmax = 0.2\n"
+    with_gap, without = (fit_campaign(campaign(known + of, rows), surfaces) for of in (gap, ""))
+    for name in (ALPHA_SCAT, "scale"):
+        one, other = with_gap.parameters[name], without.parameters[name]
+        assert one.sigma == pytest.approx(other.sigma, rel=0.01)
+        assert math.hypot(*one.contributions.values()) == pytest.approx(one.sigma, rel=1e-6)
+    number = with_gap.parameters["gap_mm"]
+    assert number.sigma == pytest.approx(0.2 / math.sqrt(12.0), rel=0.01)
+    inside = 0.01 < number.value < 0.19
+    assert (number.at_bound is None) == inside
+
+
 def test_a_coarse_interpolation_is_told(campaign):
     index = "[parameters.n_crystal]\nmin = 1.01\nmax = 3.0\nstart = 1.3\n"
     surfaces = lambda p: FormulaSurface(of_index(p["n_crystal"]))  # noqa: E731
