@@ -191,6 +191,6 @@ def chromium(tmp_path_factory) -> Iterator[Browser]:
 
 
 @pytest.fixture
-def browser(chromium, tmp_path_factory) -> Iterator[Browser]:
+def browser(chromium, tmp_path_factory) -> Browser:
     """A browser as if it were fresh; the test is skipped, and says why, where there is none."""
-    yield chromium.renewed(tmp_path_factory.mktemp("downloads"))
+    return chromium.renewed(tmp_path_factory.mktemp("downloads"))

@@ -45,7 +45,7 @@ def _parts_of(fit: Calibration, quantities: Quantities) -> tuple[dict[str, Array
             origin = _PRIORS.get(parameter.name, f"prior, {parameter.name}")
             moved = quantities.slopes @ fit.covariance[:, i] / parameter.prior_sigma
             parts[origin] = np.abs(moved)
-        elif weight := float(minimum.known_weight[i]):
+        elif weight := float(minimum.bounds_weight[i]):
             moved = quantities.slopes @ fit.covariance[:, i] * math.sqrt(weight)
             parts[f"bounds, {parameter.name}"] = np.abs(moved)
     moved = pulled @ minimum.weights.errors.pedestal

@@ -211,8 +211,7 @@ def determined_estimates(fit: Minimum, evidence: Evidence) -> dict[str, Paramete
     """Parameters of a fit; what readings do not determine has the error that evidence leaves."""
     parameters = estimates(fit)
     # where bounds had to say something, evidence, which keeps them, says more
-    by_bounds = (fit.known_weight > fit.statistic.prior_weight).any()
-    most = 1.0 if by_bounds else CANDIDATES.undetermined
+    most = 1.0 if fit.bounds_weight.any() else CANDIDATES.undetermined
     for name in fit.names:
         own, sigma = parameters[name], evidence.sigma[name]
         if own.sigma > most * sigma:

@@ -187,22 +187,26 @@ class Minimum:
         return whitened @ whitened.T + np.diag(self.statistic.prior_weight)
 
     @cached_property
-    def known_weight(self) -> Array:
-        """(free,) 1 / variance of what is known of the parameters beforehand.
+    def bounds_weight(self) -> Array:
+        """(free,) 1 / variance of what bounds tell of a parameter that is hardly known otherwise.
 
-        That is their priors; and, where the information allows more than a parameter's bounds do,
-        an even distribution between these: what lies beyond must not widen other errors.
+        Where the information allows more than they do, that is an even distribution between them:
+        what lies beyond must not widen other errors. It is 0 elsewhere.
         """
         low, high = self.statistic.bounds
         squared = np.square(high - low)
-        beyond = np.diag(inverse(self.information)) > squared
-        return self.statistic.prior_weight + np.where(beyond, 12.0 / squared, 0.0)
+        return np.where(np.diag(self._unbounded) > squared, 12.0 / squared, 0.0)
+
+    @cached_property
+    def _unbounded(self) -> Array:
+        return inverse(self.information)
 
     @cached_property
     def covariance(self) -> Array:
         """(free, free) inverse of the information, with what the bounds tell where that is more."""
-        of_bounds = self.known_weight - self.statistic.prior_weight
-        return inverse(self.information + np.diag(of_bounds))
+        if not self.bounds_weight.any():
+            return self._unbounded
+        return inverse(self.information + np.diag(self.bounds_weight))
 
     @cached_property
     def response(self) -> Array:

@@ -140,7 +140,7 @@ def estimates(minimum: Minimum) -> dict[str, ParameterEstimate]:
     errors = minimum.weights.errors
     variances = {
         "statistical": errors.statistical_variances(response),
-        "prior": covariance**2 @ minimum.known_weight,
+        "prior": covariance**2 @ (statistic.prior_weight + minimum.bounds_weight),
         "monte_carlo": np.square(response @ errors.simulated).sum(axis=1),
     }
     if errors.pedestal.size:

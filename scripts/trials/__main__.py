@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from pathlib import Path
 
@@ -9,18 +10,8 @@ import click
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from mcrim_mitsuba.cli import terminal
-from trials import (
-    calibrated,
-    closure,
-    digitiser,
-    faults,
-    followed,
-    formulas,
-    hidden,
-    kill,
-    peak,
-    wrapped,
-)
+
+SCRIPTS = "calibrated closure digitiser faults followed formulas hidden kill peak wrapped"
 
 
 @click.group()
@@ -28,19 +19,8 @@ def main() -> None:
     """Is what the package says of itself right?"""
 
 
-for one in (
-    calibrated,
-    closure,
-    digitiser,
-    faults,
-    followed,
-    formulas,
-    hidden,
-    kill,
-    peak,
-    wrapped,
-):
-    main.add_command(one.main, one.__name__.rpartition(".")[2])
+for name in SCRIPTS.split():
+    main.add_command(importlib.import_module(f"trials.{name}").main, name)
 
 
 if __name__ == "__main__":

@@ -52,11 +52,9 @@ from mcrim_mitsuba.output.description import table
 from mcrim_mitsuba.reference.tracer import trace
 from trials import formulas
 from trials.executor import Trial, Trials, executor_options
-from trials.truth import do_missing
+from trials.truth import MOST_CAUSES, do_missing, drawn_at_last
 
 CAMPAIGN = Path(__file__).resolve().parents[2] / "scenes" / "camoo4_misfit.toml"
-#: Most causes at once, as of what a diagnosis weighs.
-MOST_CAUSES = 3
 #: Least and most of the scattering that is drawn, in parts of the fitted one.
 ABOUT = (0.5, 1.5)
 #: Parts of the distribution whose coverage is told.
@@ -165,12 +163,9 @@ def weigh_one(path: str, photons: int | None, traced: bool, number: int, seed: i
     models, effects, baseline = simulated(path, photons)
     explanations = Explanations(models.model, effects, baseline)
     rng = np.random.default_rng([seed, number])
-    for _ in range(_MOST_DRAWS):
-        drawn = _draw(explanations, models, rng, number % _STEPS if traced else None)
-        if drawn is not None:
-            break
-    else:
-        raise RuntimeError(f"draw {number}: no readings as wanted")
+    step = number % _STEPS if traced else None
+    draw = functools.partial(_draw, explanations, models, rng, step)
+    drawn = drawn_at_last(draw, _MOST_DRAWS, f"draw {number}: no readings as wanted")
     campaign, hidden, scale = drawn
     judged = judge(replace(models, campaign=campaign).model, effects)
     if judged.judgement is None:

@@ -13,6 +13,7 @@ all that is proposed is done.
 
 from __future__ import annotations
 
+import functools
 import math
 import statistics
 from pathlib import Path
@@ -29,12 +30,16 @@ from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.output.description import table
 from trials import formula_bench as bench
 from trials.executor import Trial, Trials, executor_options
-from trials.truth import TRUE_ALPHA_ABS_PER_CM, TRUE_ALPHA_SCAT_PER_CM, TRUE_SCALE, do_missing
+from trials.truth import (
+    MOST_CAUSES,
+    TRUE_ALPHA_SCAT_PER_CM,
+    do_missing,
+    draw_absorption_and_scale,
+    drawn_at_last,
+)
 
 #: Readings that there are, and further ones that can be built.
 FIRST, FURTHER = 8, 4
-#: Most causes at once, as of what a diagnosis weighs.
-MOST_CAUSES = 3
 #: Draws before one is given up.
 _MOST_DRAWS = 300
 
@@ -76,12 +81,8 @@ def main(number: int, of_all: bool, seed: int, json_file: str | None, executor, 
 def follow(number: int, seed: int, of_all: bool) -> dict:
     """Draw a campaign, do what is proposed, and tell what came of it; empty if only looks are."""
     rng = np.random.default_rng([seed, number])
-    for _ in range(_MOST_DRAWS):
-        drawn = _draw(rng)
-        if drawn is not None:
-            break
-    else:
-        raise RuntimeError(f"campaign {number}: no readings as wanted")
+    words = f"campaign {number}: no readings as wanted"
+    drawn = drawn_at_last(functools.partial(_draw, rng), _MOST_DRAWS, words)
     values, hidden, first, further = drawn
     made = {"values": values, "effects": hidden, "known": tuple(bench.EFFECTS)}
     made |= {"rows": first, "seed": int(rng.integers(2**31))}
@@ -127,23 +128,18 @@ def _error(judged: Judgement) -> float:
 
 def _draw(rng: np.random.Generator):
     """Values, causes, rows and further rows of a campaign; None where it will not do."""
-    values = {
-        "alpha_scat_per_cm": float(np.exp(rng.uniform(*np.log(TRUE_ALPHA_SCAT_PER_CM)))),
-        "alpha_abs_per_cm": float(rng.uniform(*TRUE_ALPHA_ABS_PER_CM)),
-        "scale": float(rng.uniform(*TRUE_SCALE)),
-    }
+    scattering = float(np.exp(rng.uniform(*np.log(TRUE_ALPHA_SCAT_PER_CM))))
+    absorption, scale = draw_absorption_and_scale(rng)
+    values = {"alpha_scat_per_cm": scattering, "alpha_abs_per_cm": absorption, "scale": scale}
     every = tuple(range(len(bench.ROWS)))
     explanations = bench.explanations_of(
         bench.Followed(values, (), (), every).models, bench.EFFECTS
     )
-    drawn = (n for n in bench.EFFECTS if rng.random() < expit(explanations.log_odds([n])))
-    hidden = tuple(drawn)
+    odds = ((n, explanations.log_odds([n])) for n in bench.EFFECTS)
+    hidden = tuple(n for n, log_odds in odds if rng.random() < expit(log_odds))
     if len(hidden) > MOST_CAUSES or not explanations.possible(hidden):
         return None
-    priors = explanations.priors(hidden)
-    for name in hidden:
-        for parameter in explanations.free_parameters((name,), name):
-            values[parameter] = float(priors[parameter].value(rng.standard_normal(1))[0])
+    values |= bench.sizes(explanations, hidden, rng)
     signal = bench.signals(values, hidden)
     if not np.all(np.isfinite(signal) & (signal > 0.0)):
         return None

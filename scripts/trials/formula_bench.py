@@ -255,6 +255,18 @@ def explanations_of(models, effects, scales=None) -> Explanations:
     return Explanations(models, effects, baseline, scales or {})
 
 
+def sizes(
+    explanations: Explanations, effects: tuple[str, ...], rng: np.random.Generator
+) -> dict[str, float]:
+    """Values of effects' parameters, drawn from what is known of them beforehand."""
+    priors = explanations.priors(effects)
+    return {
+        parameter: float(priors[parameter].value(rng.standard_normal(1))[0])
+        for name in effects
+        for parameter in explanations.free_parameters((name,), name)
+    }
+
+
 def simulation_noise(seed: int) -> np.ndarray:
     """(batches, readings) errors of log(eta), shared by all models of a campaign."""
     rng = np.random.default_rng([seed, 99])

@@ -15,6 +15,7 @@ readings of 3 %, in six readings, or in forty.
 
 from __future__ import annotations
 
+import functools
 import math
 import statistics
 import time
@@ -35,7 +36,7 @@ from mcrim_mitsuba.inference.weighing import weigh_hypotheses
 from mcrim_mitsuba.output.description import table
 from trials import formula_bench as bench
 from trials.executor import Trial, Trials, executor_options
-from trials.truth import do_missing
+from trials.truth import do_missing, drawn_at_last
 
 KINDS = "known withheld pairs triples nothing wrong understated coarse six forty".split()
 #: Least and most of it; the least of readings whose errors hide more.
@@ -110,12 +111,8 @@ def _scores(results: list[dict]) -> tuple[str, ...]:
 def weigh_one(kind: str, number: int, seed: int) -> dict:
     """Draw a campaign of a kind, weigh all hypotheses, and score what is said of it."""
     rng = np.random.default_rng([seed, KINDS.index(kind), number])
-    for _ in range(_MOST_DRAWS):
-        drawn = _draw(kind, rng)
-        if drawn is not None:
-            break
-    else:
-        raise RuntimeError(f"{kind} {number}: no draw has the wanted excess")
+    words = f"{kind} {number}: no draw has the wanted excess"
+    drawn = drawn_at_last(functools.partial(_draw, kind, rng), _MOST_DRAWS, words)
     models, hidden, scale, spoiled = drawn
     known = {n: e for n, e in bench.EFFECTS.items() if kind != "withheld" or n not in hidden}
     began = time.perf_counter()
@@ -177,9 +174,7 @@ def _draw(kind: str, rng: np.random.Generator):
     for name in hidden:
         if not explanations.possible((name,)):
             return None
-        priors = explanations.priors((name,))
-        for parameter in explanations.free_parameters((name,), name):
-            values[parameter] = float(priors[parameter].value(rng.standard_normal(1))[0])
+        values |= bench.sizes(explanations, (name,), rng)
     signal = bench.signals(values, hidden)[used]
     if not np.all(np.isfinite(signal) & (signal > 0.0)):
         return None

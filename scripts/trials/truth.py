@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,18 @@ TRUE_ALPHA_SCAT_PER_CM, TRUE_ALPHA_ABS_PER_CM = (0.15, 1.2), (0.027, 0.051)
 TRUE_SCALE = (20.0, 60.0)
 #: Standard error of the absorption that is measured beforehand, 1/cm.
 PRIOR_SIGMA_PER_CM = 0.012
+#: Most causes at once, as of what a diagnosis weighs.
+MOST_CAUSES = 3
+
+_Drawn = TypeVar("_Drawn")
+
+
+def drawn_at_last(draw: Callable[[], _Drawn | None], most: int, what: str) -> _Drawn:
+    """The first of at most so many draws that will do; RuntimeError tells of `what` none does."""
+    for _ in range(most):
+        if (drawn := draw()) is not None:
+            return drawn
+    raise RuntimeError(what)
 
 
 def draw_absorption_and_scale(rng: np.random.Generator) -> tuple[float, float]:
