@@ -32,24 +32,25 @@ def minimise(
     longest: Array | float = np.inf,
     steps: int = 40,
     precision: float = 1e-5,
-) -> tuple[Array, float, bool]:
+) -> tuple[Array, tuple[float, Array, Array], bool]:
     """Walk downhill from a start, which is moved into the bounds; all three are (k,) float64.
 
     Coordinates that are `held` stay, and no step is longer than `longest`, in any of them or in
     each, (k,). It ends where no more fall than `precision` is to be expected, or after so many
     `steps`.
 
-    Returns the lowest point, (k,), its height, and whether it has converged.
+    Returns the lowest point, (k,), what `height_at` says there, and whether it has converged.
     """
     x = np.minimum(np.maximum(start, low), high)  # a third of the time of np.clip
-    height, gradient, curvature = height_at(x)
+    lowest = height_at(x)
     movable = np.ones(len(x), bool)
     movable[list(held)] = False
     damping = _FIRST_DAMPING
     for _ in range(steps):
+        height, gradient, curvature = lowest
         (at,) = (movable & (x != np.where(gradient > 0, low, high))).nonzero()
         if not len(at):
-            return x, height, True
+            return x, lowest, True
         matrix = curvature[at[:, None], at]
         diagonal = matrix.diagonal()
         # coordinates may have any units: none is small beside another
@@ -63,16 +64,16 @@ def minimise(
         moved = trial - x
         expected = -float(2.0 * gradient @ moved + moved @ curvature @ moved)
         if abs(expected) < precision and damping <= 1.0:
-            return x, height, True
+            return x, lowest, True
         there = height_at(trial)
         if there[0] < height:
             gain = height - there[0]
-            x, (height, gradient, curvature) = trial, there
+            x, lowest = trial, there
             # a step that kept its promise may be bolder next time
             damping = damping / 10.0 if gain > 0.5 * expected else damping
         else:
             damping = max(10.0 * damping, 1e-3)
             if damping > _LAST_DAMPING:
                 # rounding hides what is left to gain
-                return x, height, True
-    return x, height, False
+                return x, lowest, True
+    return x, lowest, False

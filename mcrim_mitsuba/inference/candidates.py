@@ -290,7 +290,7 @@ def _limit(explanations: Explanations, effect: str, name: str) -> Limit:
     theta, least, free = fit.theta, fit.chi2, {p.name: p for p in fit.statistic.free}
     if all(n not in free or free[n].minimum <= v <= free[n].maximum for n, v in absences.items()):
         start = fit.statistic.theta({**baseline.values, **absences})
-        at_absence, chi2, _ = newton(fit.statistic, start, fit.weights, precision=0.01)
+        at_absence, chi2, *_ = newton(fit.statistic, start, fit.weights, precision=0.01)
         if chi2 < least:
             theta, least = at_absence, chi2
     rise = RISE_95 if may_be_less and may_be_more else ONE_SIDED_95

@@ -29,17 +29,20 @@ def newton(
     held: Sequence[int] = (),
     steps: int = 40,
     precision: float = 1e-5,
-) -> tuple[Array, float, bool]:
-    """Parameters, chi2 and whether it converged, downhill from a start with the weights held.
+) -> tuple[Array, float, bool, Array, Array]:
+    """Downhill from a start with the weights held.
 
     `held` are the places of parameters that stay; the rest is as for `core.descent.minimise`.
+
+    Returns parameters, chi2, whether it converged, and half of the (free,) slopes and (free, free)
+    second derivatives of chi2 there in the searched coordinates.
     """
 
     def height_at(x: Array) -> tuple[float, Array, Array]:
         residuals, slopes = statistic.evaluate(statistic.external(x), weights)
         return float(residuals @ residuals), slopes.T @ residuals, slopes.T @ slopes
 
-    x, chi2, converged = minimise(
+    x, (chi2, slopes, curvatures), converged = minimise(
         height_at,
         statistic.internal(theta),
         statistic.low,
@@ -49,7 +52,7 @@ def newton(
         steps=steps,
         precision=precision,
     )
-    return statistic.external(x), chi2, converged
+    return statistic.external(x), chi2, converged, slopes, curvatures
 
 
 def minuit(statistic: Statistic, theta: Array, weights: Weights) -> tuple[Array, float, bool]:
@@ -244,7 +247,7 @@ def settle(statistic: Statistic, theta: Array, *, precision: float = 1e-5) -> Mi
     """The minimum that a start leads to, its covariance updated until it agrees with it."""
     for _ in range(SEARCH.most_updates):
         start, weights = theta, Weights(statistic.errors_at(theta))
-        theta, chi2, converged = newton(statistic, theta, weights, precision=precision)
+        theta, chi2, converged, *_ = newton(statistic, theta, weights, precision=precision)
         minimum = Minimum.at(statistic, theta, chi2, weights, converged)
         if minimum.distance(start) < SEARCH.settled:
             break
@@ -258,7 +261,7 @@ def best_of(statistic: Statistic, starts: Iterable[Array], weights: Weights) -> 
     """
     ends: list[tuple[float, Array]] = []
     for start in starts:
-        theta, chi2, _ = newton(statistic, start, weights)
+        theta, chi2, *_ = newton(statistic, start, weights)
         if all(abs(chi2 - other) > SEARCH.same_height * (1.0 + other) for other, _ in ends):
             ends.append((chi2, theta))
     ends.sort(key=lambda end: end[0])
@@ -275,7 +278,7 @@ def find_minima(statistic: Statistic) -> list[Minimum]:
     weights = Weights(statistic.errors_before_any_fit())
     minima: list[Minimum] = []
     for start in _starts(statistic, weights):
-        theta, _, _ = newton(statistic, start, weights)
+        theta, *_ = newton(statistic, start, weights)
         rough = settle(statistic, theta, precision=SEARCH.newton_precision)
         theta, chi2, content = minuit(statistic, rough.theta, rough.weights)
         # MINUIT begins clear of the bounds, and may end a little above where it was
@@ -301,7 +304,7 @@ def _starts(statistic: Statistic, weights: Weights) -> list[Array]:
             # the statistic is nearly quadratic in the scale: the descent mends what is left
             start[place] *= float(np.median((statistic.signal / predicted)[rows]))
         start = np.clip(start, *statistic.bounds)
-        end, height, _ = newton(statistic, start, weights, held=others, steps=3, precision=0.01)
+        end, height, *_ = newton(statistic, start, weights, held=others, steps=3, precision=0.01)
         return end, height
 
     own_start = [with_best_scale(theta.copy())[0]]

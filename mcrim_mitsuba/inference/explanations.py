@@ -266,7 +266,7 @@ class Explanations:
         for i in order:
             side = single and nodes[i][names[0]] > absent[names[0]]
             start = statistic.theta({**warm.get(side, fewer.values), **nodes[i]})
-            theta, chi2, _ = newton(
+            theta, chi2, *_ = newton(
                 statistic, start, weights, held=held, steps=steps, precision=precision
             )
             points[i] = (chi2, theta)

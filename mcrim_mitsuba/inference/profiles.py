@@ -92,7 +92,7 @@ def profiles_of(minimum: Minimum) -> tuple[Profile, ...]:
     relative error is a Gaussian factor on the light yield. The last few are kept.
     """
     statistic, weights = minimum.statistic, minimum.weights
-    theta, chi2, _ = newton(statistic, minimum.theta, weights, precision=CURVE.precision)
+    theta, chi2, *_ = newton(statistic, minimum.theta, weights, precision=CURVE.precision)
     profiles = {
         name: _profile(ProfileWalk(statistic, weights, theta, chi2, name), minimum)
         for name in minimum.names
@@ -149,9 +149,10 @@ class ProfileWalk:
         residuals, slopes = statistic.evaluate(theta, weights)
         solution = statistic.internal(theta)
         start = float(solution[self.place])
-        # where the others were best, by this one's coordinate
-        self._followed = {start: solution}
-        curvature = float(inverse(slopes.T @ slopes)[self.place, self.place]) ** -1
+        information = slopes.T @ slopes
+        # where the others were best, by this one's coordinate, and chi2's curvature there
+        self._followed = {start: (solution, information)}
+        curvature = float(inverse(information)[self.place, self.place]) ** -1
         sides = [
             self._side(start, wall, curvature)
             for wall in (float(end[self.place]) for end in (statistic.low, statistic.high))
@@ -206,22 +207,20 @@ class ProfileWalk:
         others = np.arange(len(self.theta)) != place
         if start is None:
             start = min(self._followed, key=lambda coordinate: abs(coordinate - x))
-        coordinates = self._followed[start]
-        _, slopes = statistic.evaluate(statistic.external(coordinates), self._weights)
-        information, ahead = slopes.T @ slopes, coordinates.copy()
+        coordinates, information = self._followed[start]
+        ahead = coordinates.copy()
         # they begin where they are best to first order
         ahead[others] -= inverse(information[np.ix_(others, others)]) @ (
             information[others, place] * (x - coordinates[place])
         )
         ahead[place] = x
         theta = statistic.external(np.clip(ahead, statistic.low, statistic.high))
-        theta, chi2, _ = newton(
+        theta, chi2, _, slopes, information = newton(
             statistic, theta, self._weights, held=[place], precision=self._pace.precision
         )
-        residuals, slopes = statistic.evaluate(theta, self._weights)
-        self._followed[x] = statistic.internal(theta)
+        self._followed[x] = statistic.internal(theta), information
         # others at their best do not add to the slope
-        return chi2 - self._chi2, 2.0 * float(slopes[:, place] @ residuals)
+        return chi2 - self._chi2, 2.0 * float(slopes[place])
 
     def _side(self, start: float, wall: float, curvature: float) -> _Points:
         """(coordinate, rise, slope) of the points from the solution to one side."""

@@ -360,7 +360,7 @@ def test_a_page_works_under_the_policy(page, browser):
     assert browser.downloaded("table.csv").read_text() == "a,b\n"
     assert browser.complaints() == []
     asked = browser.requests()
-    assert len(asked) >= 5 and all(address.startswith(page.address) for address in asked)
+    assert len(asked) >= 4 and all(address.startswith(page.address) for address in asked)
     # a script that somebody smuggled into the page does not run
     browser.run(
         "const s = document.createElement('script'); s.textContent = 'window.smuggled = 1';"

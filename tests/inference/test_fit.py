@@ -512,7 +512,7 @@ def test_a_descent_moves_coordinates_of_any_unit():
         return float(residuals @ residuals), residuals / units, np.diag(units**-2.0)
 
     infinite = np.full(2, np.inf)
-    x, height, converged = minimise(height_at, np.zeros(2), -infinite, infinite)
+    x, (height, *_), converged = minimise(height_at, np.zeros(2), -infinite, infinite)
     assert converged and height < 1e-5 and x / units == pytest.approx(lowest, rel=1e-2)
 
 
