@@ -41,13 +41,12 @@ def _parts_of(fit: Calibration, quantities: Quantities) -> tuple[dict[str, Array
     counted = minimum.weights.errors.statistical_variances(pulled)
     parts = {"counts": np.sqrt(counted)}
     for i, parameter in enumerate(fit.model.free):
+        roots = {f"bounds, {parameter.name}": math.sqrt(minimum.bounds_weight[i])}
         if parameter.prior_sigma is not None:
             origin = _PRIORS.get(parameter.name, f"prior, {parameter.name}")
-            moved = quantities.slopes @ fit.covariance[:, i] / parameter.prior_sigma
-            parts[origin] = np.abs(moved)
-        elif weight := float(minimum.bounds_weight[i]):
-            moved = quantities.slopes @ fit.covariance[:, i] * math.sqrt(weight)
-            parts[f"bounds, {parameter.name}"] = np.abs(moved)
+            roots[origin] = 1.0 / parameter.prior_sigma
+        moved = np.abs(quantities.slopes @ fit.covariance[:, i])
+        parts |= {origin: moved * root for origin, root in roots.items() if root}
     moved = pulled @ minimum.weights.errors.pedestal
     parts["pedestal"] = np.sqrt(np.square(moved).sum(axis=1))
     parts["monte_carlo"] = quantities.sigmas

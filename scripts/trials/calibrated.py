@@ -127,22 +127,18 @@ def _show(screen: terminal.Screen, outcomes: Sequence[Mapping]) -> None:
         f"log density {statistics.mean(o['log_density'] for o in outcomes):.2f}, "
         f"CRPS {100 * statistics.mean(o['crps'] for o in outcomes):.2f} %"
     )
-    said = np.array([p for outcome in outcomes for p in outcome["said"].values()])
-    there = np.array([n in o["hidden"] for o in outcomes for n in o["said"]])
+    said = np.array([list(outcome["said"].values()) for outcome in outcomes])
+    there = np.array([[n in o["hidden"] for n in o["said"]] for o in outcomes])
     rows = []
     for low, high in itertools.pairwise(BINS):
         at = (said >= low) & ((said < high) | (high == BINS[-1]))
         if at.any():
-            hits = int(there[at].sum())
-            error = fraction_error(hits, int(at.sum()))
-            rate = f"{100 * hits / at.sum():.1f} ± {100 * error:.1f} %"
-            cells = (
-                f"{100 * low:g} to {100 * high:g} %",
-                f"{at.sum()}",
-                f"{100 * said[at].mean():.1f} %",
-            )
-            rows.append((*cells, rate))
-    screen.show(table("causes", ("said", "causes", "mean of it", "there"), rows))
+            # a campaign's causes stand for each other, so that campaigns are what is independent
+            over = ((there - said) * at).sum(axis=1)
+            cells = (f"{100 * low:g} to {100 * high:g} %", f"{at.sum()}", f"{said[at].sum():.1f}")
+            off = over.sum() / math.sqrt(np.square(over).sum())
+            rows.append((*cells, f"{there[at].sum()}", f"{off:+.1f}"))
+    screen.show(table("causes", ("said", "causes", "sum of it", "there", "errors off"), rows))
 
 
 @functools.cache

@@ -6,6 +6,7 @@ difference counts from 4 standard errors on: a false alarm in 1 of 16,000 compar
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,9 +23,10 @@ from mcrim_mitsuba.efficiency.eta_grid import BATCHES
 from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Axis, EffectResponse, held_at
 from mcrim_mitsuba.inference import budget as budgeting
-from mcrim_mitsuba.inference.corrections import NeglectWork, Quantities, at, shifts, too_far
+from mcrim_mitsuba.inference.corrections import NeglectWork, Quantities, at, fitted, shifts, too_far
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, spread
 from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.optics.dispersion import extraordinary_index, indices_of_light, orientation_sigma
 from mcrim_mitsuba.optics.emission_band import indices_over_band
 from mcrim_mitsuba.optics.spectrum import Spectrum
@@ -218,6 +220,20 @@ def test_contributions_add_up_to_the_fits_errors(found):
     (counts,) = found.contributions[RATIO].contributions
     assert counts.name == "counts"
     assert counts.relative == pytest.approx(math.hypot(0.2 / 14.3, 0.4 / 24.5), rel=1e-3)
+
+
+def test_bounds_add_to_a_prior_that_says_less_than_they_do(campaign_here):
+    with Path(campaign_here).open("a") as file:
+        file.write(
+            "[parameters.window_thickness_mm]\nmin = 0.95\nmax = 1.05\n"
+            "prior = 1.0\nprior_sigma = 0.5\n"
+        )
+    fit = CampaignSimulations(read_campaign(campaign_here), Run(4096, seed=SEED)).fit()
+    known = budgeting.contributions_to(fit, fitted(fit))["window_thickness_mm"]
+    assert {"bounds, window_thickness_mm", "prior, window_thickness_mm"} == {
+        part.name for part in known.contributions
+    }
+    assert known.total == pytest.approx(fit.parameters["window_thickness_mm"].sigma, rel=1e-3)
 
 
 def test_what_the_absolute_light_yield_is_multiplied_with(campaign, found, scenes):
