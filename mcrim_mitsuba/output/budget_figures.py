@@ -287,7 +287,7 @@ def draw_plan(planning: Planning) -> style.Drawing:
         look = {"color": colour, "ls": line, "lw": 1.6, "marker": "o", "ms": 3.5}
         events = [plan.events for plan in plans[couplings]]
         label = style.shortened(planning.number(couplings), 44)
-        label += f", and {covered} alike" if covered else ""
+        label += f", and {counted(covered, 'set')} alike" if covered else ""
         statistical.plot(events, curves[couplings][0], label=label, **look)
         total.plot(events, curves[couplings][1], **look)
     _finish_plan(statistical, total, planning.wanted)

@@ -162,7 +162,7 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     rows = [*singles, *pairs]
     tried = len(diagnosis.candidates) + len(diagnosis.pairs)
     if left_out := tried - sum(row.candidate is not None for row in rows):
-        rows.append(_Row(f"and {left_out} more, none of them likelier", None))
+        rows.append(_Row(f"and {left_out} others, none likelier", None))
     if not rows:
         figure, words = style.canvas(_BARS_WIDTH + 5.6, 1.6), "no effect was tried: "
         _title_ranking(figure, diagnosis)

@@ -290,7 +290,7 @@ def test_few_rows_and_few_steps_are_drawn_clearly():
     chances, bars, _ = figure.axes
     assert figure.get_figwidth() < 12.0
     names = [tick.get_text() for tick in chances.get_yticklabels()]
-    assert len(names) == 9 and names[-1] == "and 25 more, none of them likelier"
+    assert len(names) == 9 and names[-1] == "and 25 others, none likelier"
     # what falls far behind has no bar that is cut off
     assert min(bar.get_x() + bar.get_width() for bar in bars.patches) >= 0.0
     assert sum("rises by 900" in text.get_text() for text in bars.texts) == 5
