@@ -682,6 +682,17 @@ def test_a_bound_that_stops_the_fit_is_named(campaign):
     )
 
 
+def test_what_rounding_leaves_beside_a_bound_is_the_bound(campaign):
+    """A chamfer of 1.5e-15 mm was written into a scene, which refused it."""
+    gap = "[parameters.gap_mm]\nstart = 0.05\nmin = 0.0\nmax = 0.2\nprior = 0.1\n"
+    read = campaign(ALPHA + PRIOR + gap + "prior_sigma = 0.1\n")
+    statistic = Statistic(CampaignModel(read, couplings()))
+    place = statistic.index("gap_mm")
+    for value, bound in ((1.5e-15, 0.0), (0.2 - 1.5e-15, 0.2), (1e-5, 1e-5)):
+        x = statistic.internal(statistic.theta({"gap_mm": value}))
+        assert statistic.external(x)[place] == bound
+
+
 @cases("low", "high", "says")
 def test_of_bounds_that_touch_that_one_stops_to_which_the_readings_push(campaign, low, high, says):
     text = ALPHA.replace("max = 10.0", f"max = {high}").replace("min = 0.01", f"min = {low}")
