@@ -286,7 +286,7 @@ class Statistic:
         self._curved = self._inverted or bool(self.logarithmic.any() or (self._units != 1.0).any())
         self.bounds = tuple(np.array([(p.minimum, p.maximum) for p in self.free]).reshape(-1, 2).T)
         width = self.bounds[1] - self.bounds[0]
-        self._rounding = LINEAR.rounding * np.where(np.isfinite(width), width, 0.0)
+        self._rounding = 64 * np.finfo(float).eps * np.where(np.isfinite(width), width, 0.0)
         #: (free,) Minimum and maximum in the searched coordinates; and the same, the lower first.
         self.walls = self.internal(self.bounds[0]), self.internal(self.bounds[1])
         self.low, self.high = np.minimum(*self.walls), np.maximum(*self.walls)
