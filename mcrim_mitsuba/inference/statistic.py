@@ -286,6 +286,7 @@ class Statistic:
         self._curved = self._inverted or bool(self.logarithmic.any() or (self._units != 1.0).any())
         self.bounds = tuple(np.array([(p.minimum, p.maximum) for p in self.free]).reshape(-1, 2).T)
         width = self.bounds[1] - self.bounds[0]
+        # (free,) within this of a bound rounding decides
         self._rounding = 64 * np.finfo(float).eps * np.where(np.isfinite(width), width, 0.0)
         #: (free,) Minimum and maximum in the searched coordinates; and the same, the lower first.
         self.walls = self.internal(self.bounds[0]), self.internal(self.bounds[1])

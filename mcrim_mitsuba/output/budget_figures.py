@@ -337,4 +337,4 @@ def _finish_plan(statistical: Axes, total: Axes, wanted: float) -> None:
     # others stand too close to the next power of ten
     statistical.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 4, 5, 7)))
     statistical.yaxis.set_minor_formatter("{x:g}")
-    total.set_ylim(bottom=0)
+    total.set_ylim(0, 1.05 * total.get_ylim()[1])
