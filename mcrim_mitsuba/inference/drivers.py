@@ -135,6 +135,7 @@ class Minimum:
         cls, statistic: Statistic, theta: Array, chi2: float, weights: Weights, converged: bool
     ) -> Minimum:
         """The minimum where a descent ended."""
+        theta = statistic.at_bounds(theta)
         prediction = statistic.model.predict(theta)
         slopes = prediction.signal_slopes[statistic.used]
         whitened = weights.whiten(slopes.T)

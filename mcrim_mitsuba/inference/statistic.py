@@ -285,9 +285,6 @@ class Statistic:
             self._units[self.index(name)] = 2.0**size if abs(size) > LINEAR.usual_size else 1.0
         self._curved = self._inverted or bool(self.logarithmic.any() or (self._units != 1.0).any())
         self.bounds = tuple(np.array([(p.minimum, p.maximum) for p in self.free]).reshape(-1, 2).T)
-        width = self.bounds[1] - self.bounds[0]
-        # (free,) within this of a bound rounding decides
-        self._rounding = 64 * np.finfo(float).eps * np.where(np.isfinite(width), width, 0.0)
         #: (free,) Minimum and maximum in the searched coordinates; and the same, the lower first.
         self.walls = self.internal(self.bounds[0]), self.internal(self.bounds[1])
         self.low, self.high = np.minimum(*self.walls), np.maximum(*self.walls)
@@ -355,11 +352,20 @@ class Statistic:
             if self._inverted:
                 with np.errstate(divide="ignore"):
                     theta[self._reciprocal] = 1.0 / theta[self._reciprocal]
-        # beside a bound, or beyond it, lies what rounding made of the bound: no scene is to have
-        # a chamfer of 1e-15 mm
+        # the logarithm of a bound may come back as a number beyond it
         low, high = self.bounds
-        theta = np.where(theta - low <= self._rounding, low, theta)
-        return np.where(high - theta <= self._rounding, high, theta)
+        return np.minimum(np.maximum(theta, low), high)
+
+    def at_bounds(self, theta: Array) -> Array:
+        """(free,) parameters, at a bound where they have come as near to it as rounding.
+
+        A descent creeps there, and no scene can have a bevel of 1e-14 mm.
+        """
+        low, high = self.bounds
+        width = high - low
+        near = LINEAR.rounding * np.where(np.isfinite(width), width, 0.0)
+        theta = np.where(theta - low <= near, low, theta)
+        return np.where(high - theta <= near, high, theta)
 
     def slopes_of_external(self, theta: Array) -> Array:
         """(free,) d parameter / d searched coordinate."""

@@ -25,7 +25,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.efficiency.eta_grid import Grid
 from mcrim_mitsuba.efficiency.proposals import choose_proposals
-from mcrim_mitsuba.inference.drivers import find_minima, minuit
+from mcrim_mitsuba.inference.drivers import Minimum, find_minima, minuit
 from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.statistic import ErrorMatrices, Statistic, Weights
 from mcrim_mitsuba.reference.tracer import trace
@@ -683,14 +683,14 @@ def test_a_bound_that_stops_the_fit_is_named(campaign):
 
 
 def test_what_rounding_leaves_beside_a_bound_is_the_bound(campaign):
-    """A chamfer of 1.5e-15 mm was written into a scene, which refused it."""
+    """A chamfer of 2e-14 mm was written into a scene, which refused it."""
     gap = "[parameters.gap_mm]\nstart = 0.05\nmin = 0.0\nmax = 0.2\nprior = 0.1\n"
     read = campaign(ALPHA + PRIOR + gap + "prior_sigma = 0.1\n")
     statistic = Statistic(CampaignModel(read, couplings()))
-    place = statistic.index("gap_mm")
-    for value, bound in ((1.5e-15, 0.0), (0.2 - 1.5e-15, 0.2), (1e-5, 1e-5)):
-        x = statistic.internal(statistic.theta({"gap_mm": value}))
-        assert statistic.external(x)[place] == bound
+    for value, bound in ((2e-14, 0.0), (0.2 - 2e-14, 0.2), (1e-5, 1e-5)):
+        theta = statistic.theta({"gap_mm": value})
+        end = Minimum.at(statistic, theta, 0.0, Weights(statistic.errors_at(theta)), True)
+        assert end.values["gap_mm"] == bound
 
 
 @cases("low", "high", "says")
