@@ -30,7 +30,7 @@ def newton(
     steps: int = 40,
     precision: float = 1e-5,
 ) -> tuple[Array, float, bool, Array, Array]:
-    """Downhill from a start with the weights held.
+    """Walk downhill from a start, with the weights held.
 
     `held` are the places of parameters that stay; the rest is as for `core.descent.minimise`.
 
