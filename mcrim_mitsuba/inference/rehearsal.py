@@ -28,7 +28,14 @@ from mcrim_mitsuba.inference.closed_form import (
     weigh_singles,
 )
 from mcrim_mitsuba.inference.displacement import BaselineFrame, Curve
-from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, HYPOTHESES, JUDGING, REHEARSALS
+from mcrim_mitsuba.inference.settings import (
+    ACCEPTABLE_P,
+    DISCREPANCY,
+    HYPOTHESES,
+    JUDGING,
+    REHEARSALS,
+    RIVALS,
+)
 
 #: Where the intervals that hold 95 % and 68 % end, and the median: parts below.
 QUANTILES = (0.025, 0.159, 0.5, 0.841, 0.975)
@@ -76,63 +83,108 @@ class Design:
 # ---- an effect withheld ----
 
 
-def widening(design: Design, p_unnamed: float) -> tuple[float, float]:
-    """Factors on the intervals of ln(scale) that hold 68 % and 95 %.
+#: Shares of Gaussians, their means and their standard deviations.
+Mixture = tuple[Array, Array, Array]
+
+
+def of_instrument(sets: WeighedSets, effects: int) -> NDArray[np.bool_]:
+    """(sets,) Which have a wrong reading or understated errors, and nothing without a name.
+
+    The first causes are `effects`, so many.
+    """
+    amplitudes, factors = (
+        np.array([getattr(around, name) for around in sets.surroundings])[sets.within]
+        for name in ("amplitude", "error_factor")
+    )
+    there = (sets.members >= effects).any(axis=1) | (factors != 1.0)
+    return np.asarray(there & (amplitudes == 0.0))
+
+
+def widening(
+    design: Design, mixture: Mixture, p_unnamed: float, p_instrument: float
+) -> tuple[float, float]:
+    """Factors on the intervals of ln(scale), a `mixture`, that hold 68 % and 95 %.
 
     Every effect in turn is there, of the size that gives the campaign's own misfit, and withheld
     from the causes. How far the truth is then from the median, over the half intervals, says how
-    much they hold where what is missing has no name, which has this probability. Where the readings
-    are described there is no misfit that a size could have.
+    much they hold where what is missing has no name, which has the probability `p_unnamed`. It may
+    also look like the instrument's, which has the probability `p_instrument`, as often as it does
+    in rehearsals. Intervals are then as narrow as if nothing were missing, and the truth is as far
+    from the median as there. Where the readings are described there is no misfit that a size could
+    have.
     """
-    z, p = design.frame.z, design.frame.fit.p_value
+    z, p, effects = design.frame.z, design.frame.fit.p_value, len(design.curves)
     excess = float(z @ z) - len(z)
     described = p is None or p >= ACCEPTABLE_P or excess <= 0.0
-    if described or p_unnamed < HYPOTHESES.worth or design.frame.scale_variance == 0.0:
+    likely = p_unnamed + p_instrument >= HYPOTHESES.worth
+    if described or not likely or design.frame.scale_variance == 0.0:
         return 1.0, 1.0
-    noise = np.random.default_rng(0).standard_normal((len(design.curves), len(z)))
-    ratios, weights = [], []
+    noise = np.random.default_rng(0).standard_normal((effects, len(z)))
+    missed, odds = [], []
     for place, curve in enumerate(design.curves.values()):
         hidden = curve.at_distance(excess)
         if hidden is not None:
             moved, log_scale = hidden
-            weighed = design.weighed(moved + noise[place], withheld=(place,), most=MOST_CAUSES - 1)
-            ratios.append(_missed_by(weighed, log_scale))
-            weights.append(math.exp(design.causes[place].log_odds))
-    if not ratios:
+            sets = design.weighed(moved + noise[place], withheld=(place,), most=MOST_CAUSES - 1)
+            shares = softmax(sets.log_weights)
+            alike = float(shares[of_instrument(sets, effects - 1)].sum())
+            missed.append((*_missed_by(sets, shares, log_scale), alike))
+            odds.append(_odds_of_more(design.causes[place], excess))
+    if not missed:
         return 1.0, 1.0
-    shares = np.array(weights) / sum(weights)
-    factor_95, factor_68 = (
-        _held_by(np.array(column), shares, p_unnamed, float(ndtri(QUANTILES[3 + wide])))
-        for wide, column in zip((1, 0), zip(*ratios, strict=True), strict=True)
-    )
-    return factor_68, factor_95
+    shares = np.array(odds) / sum(odds)
+    away, over_95, over_68, alike = np.array(missed).T
+    # by the odds before the readings, and by how often it looks so, part of the instrument's is its
+    mistaken = DISCREPANCY.odds * shares * alike
+    rivals = RIVALS.bad_odds + RIVALS.swapped_odds + RIVALS.understated_odds
+    mistaken *= p_instrument / (mistaken.sum() + rivals)
+    lower_95, lower, _, upper, upper_95 = (quantile(*mixture, part) for part in QUANTILES)
+    factors = []
+    for half, over, part in (
+        (0.5 * (upper - lower), over_68, QUANTILES[3]),
+        (0.5 * (upper_95 - lower_95), over_95, QUANTILES[4]),
+    ):
+        distances = np.concatenate([over, away / half])
+        of_distances = np.concatenate([p_unnamed * shares, mistaken])
+        factors.append(_held_by(distances, of_distances, float(ndtri(part))))
+    return factors[0], factors[1]
 
 
-def _held_by(ratios: Array, shares: Array, p_unnamed: float, width: float) -> float:
+def _odds_of_more(cause: Cause, excess: float) -> float:
+    """Odds, before the readings, that a cause is there and misses them by more than this.
+
+    They are never 0: what no usual size does a strange one may.
+    """
+    sizes = ndtri((np.arange(16) + 0.5) / 16)[:, None, None]
+    moves = cause.origins + sizes * cause.slopes  # (sizes, strips, dimensions)
+    more = ((moves**2).sum(axis=2) >= excess).mean(axis=0)
+    return math.exp(cause.log_odds) * max(float(np.exp(cause.log_weights) @ more), 1e-6)
+
+
+def _held_by(distances: Array, shares: Array, width: float) -> float:
     """Factor on a half interval of so many standard deviations from which it holds its part.
 
-    It does of a Gaussian with 1 - `p_unnamed`, and else of distances of the truth, (k,) in half
-    intervals, with shares.
+    The truth is at one of these `distances`, (k,) in half intervals, which have shares; for what is
+    left of the probability it is that of a Gaussian.
     """
     level = float(2.0 * ndtr(width) - 1.0)
-    factors = np.unique(np.concatenate([np.linspace(1.0, 3.0, 41), np.maximum(ratios, 1.0)]))
-    of_rehearsals = (shares * (ratios <= factors[:, None])).sum(axis=1)
-    held = (1.0 - p_unnamed) * (2.0 * ndtr(width * factors) - 1.0) + p_unnamed * of_rehearsals
+    factors = np.unique(np.concatenate([np.linspace(1.0, 3.0, 41), np.maximum(distances, 1.0)]))
+    held = (shares * (distances <= factors[:, None])).sum(axis=1)
+    held += (1.0 - shares.sum()) * (2.0 * ndtr(width * factors) - 1.0)
     enough = np.flatnonzero(held >= level)
     return float(factors[enough[0]] if len(enough) else factors[-1])
 
 
-def _missed_by(weighed: WeighedSets, log_scale: float) -> tuple[float, float]:
-    """How far the median is from the truth, over the half intervals that hold 95 and 68 %."""
-    shares = softmax(weighed.log_weights)
+def _missed_by(sets: WeighedSets, shares: Array, log_scale: float) -> tuple[float, float, float]:
+    """How far the median is from the truth; the same over the half intervals of 95 and 68 %."""
     likely = shares > REHEARSALS.least_share  # sets that matter
-    sigmas = np.sqrt(np.maximum(weighed.variances[likely], 1e-16))
-    mixture = shares[likely] / shares[likely].sum(), weighed.log_scales[likely], sigmas
+    sigmas = np.sqrt(np.maximum(sets.variances[likely], 1e-16))
+    mixture = shares[likely] / shares[likely].sum(), sets.log_scales[likely], sigmas
     lower_95, lower, median, upper, upper_95 = (quantile(*mixture, part) for part in QUANTILES)
     missed = log_scale - median
     if missed > 0.0:
-        return missed / (upper_95 - median), missed / (upper - median)
-    return missed / (lower_95 - median), missed / (lower - median)
+        return missed, missed / (upper_95 - median), missed / (upper - median)
+    return -missed, missed / (lower_95 - median), missed / (lower - median)
 
 
 # ---- what a campaign can say ----

@@ -31,7 +31,13 @@ from mcrim_mitsuba.inference.displacement import BaselineFrame, NullDistribution
 from mcrim_mitsuba.inference.drivers import Minimum, settle
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING, Evidence, evidence_of, log_sum
 from mcrim_mitsuba.inference.explanations import Explanations
-from mcrim_mitsuba.inference.rehearsal import QUANTILES, Design, quantile, widening
+from mcrim_mitsuba.inference.rehearsal import (
+    QUANTILES,
+    Design,
+    of_instrument,
+    quantile,
+    widening,
+)
 from mcrim_mitsuba.inference.rival_causes import (
     UNDERSTATED,
     UNKNOWN,
@@ -455,6 +461,9 @@ class _Weigher:
         ]
         kept = np.array([shares[place] for place in order])
         in_full = np.array([place in self._full for place in order])
+        means = np.array([h.log_scale for h in hypotheses])
+        sigmas = np.array([h.log_scale_sigma for h in hypotheses])
+        unknown = (self._amplitudes > 0.0)[self.sets.within]
         return Weighing(
             hypotheses=tuple(hypotheses),
             shares=kept / kept.sum(),
@@ -468,23 +477,13 @@ class _Weigher:
             moving=self._moving(shares),
             p_value=_p_value(hypotheses, kept),
             design=self.design,
-            widening=widening(self.design, self._p_unnamed(shares)),
+            widening=widening(
+                self.design,
+                (kept / kept.sum(), means, sigmas),
+                float(shares[~self._with_effect & unknown].sum()),
+                float(shares[of_instrument(self.sets, len(self._effects))].sum()),
+            ),
         )
-
-    def _p_unnamed(self, shares: Array) -> float:
-        """Probability that what is there has no name: no effect, nor anything of the instrument.
-
-        A cause in no catalogue may look like the instrument's: by the odds before the readings so
-        much of that is its, too.
-        """
-        sets, priors = self.sets, np.exp([around.log_prior for around in self._surroundings])
-        unknown = self._amplitudes > 0.0
-        of_instrument = ~self._with_effect & ~unknown[sets.within]
-        of_instrument[self.place_of(())] = False
-        rivals = priors[1:][~unknown[1:]].sum() + RIVALS.bad_odds + RIVALS.swapped_odds
-        mistaken = priors[unknown].sum() / (priors[unknown].sum() + rivals)
-        without_name = shares[~self._with_effect & unknown[sets.within]].sum()
-        return float(without_name + mistaken * shares[of_instrument].sum())
 
     def _families(self, shares: Array) -> dict[str, float]:
         """Probability of all sets with a member of a family, the likeliest first."""

@@ -18,6 +18,7 @@ from mcrim_mitsuba.inference.displacement import BaselineFrame, NullDistribution
 from mcrim_mitsuba.inference.drivers import settle
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.next_measurements import _most_kept, next_measurements
+from mcrim_mitsuba.inference.rehearsal import widening
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN, DiscrepancyModel, discrepancy_at
 from mcrim_mitsuba.inference.simulations import MeasurementProposals
 from mcrim_mitsuba.inference.weighing import weigh_hypotheses
@@ -164,6 +165,29 @@ def test_the_truth_is_in_no_catalogue():
         if found.verdict == "unexplained" and not found.suspect_readings:
             assert not found.repair[1:] and averaged.catalogue > 0.01 * averaged.value
     assert np.sum(np.abs(away) < 2.0) > 2, away
+
+
+def test_what_looks_like_a_wrong_reading_may_have_no_name():
+    """The interval is as narrow as if nothing were missing, and was widened by what wide ones need.
+
+    Of 40 effects withheld five look like a wrong reading, or two (`scripts/trials formulas`).
+    """
+    factors = np.where(np.arange(len(bench.ROWS)) == 5, 1.07, 1.0)
+    own = models(5, change=lambda signal: signal * factors)
+    explanations = bench.explanations_of(own, SOME)
+    null = NullDistribution(explanations, explanations.singles())
+    weighing = weigh_hypotheses(explanations, null)
+    assert weighing.families["instrument"] > 0.95
+
+    def half_95(sigma, p_instrument):
+        one = np.ones(1)
+        _, factor = widening(weighing.design, (one, 0.0 * one, sigma * one), 0.0, p_instrument)
+        return 1.96 * sigma * factor
+
+    # where it may be, an interval ends where effects that look so end, whatever its own width
+    assert half_95(0.005, 1.0) == pytest.approx(half_95(0.002, 1.0)) and half_95(0.002, 1.0) > 0.05
+    assert half_95(0.002, 0.0) == pytest.approx(0.0039, rel=0.01)
+    assert weighing.widening[0] < 2.0 < weighing.widening[1] < 10.0
 
 
 def test_caution_costs_little_where_the_truth_is_known():
