@@ -133,7 +133,7 @@ class LiveModel:
         # the scale follows the readings, all else is held
         held = [i for i in range(len(theta)) if i != statistic.index(SCALE)]
         for _ in range(_SCALE_STEPS * settings.fit_scale):
-            theta, *_ = newton(statistic, theta, Weights(statistic.errors_at(theta)), held=held)
+            theta = newton(statistic, theta, Weights(statistic.errors_at(theta)), held=held).point
         prediction = statistic.model.predict(theta, check=True, covariance=True)
         assert prediction.eta_sigma is not None  # checked
         assert prediction.interpolation_error is not None

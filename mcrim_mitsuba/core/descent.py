@@ -8,6 +8,7 @@ peaks are fitted with it. The method is Levenberg and Marquardt's (K. Levenberg,
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,18 @@ Height = Callable[[Array], tuple[float, Array, Array]]
 _FIRST_DAMPING, _LAST_DAMPING = 1e-3, 1e9
 
 
+class Descent(NamedTuple):
+    """Where a walk downhill ended."""
+
+    #: (k,) float64: The lowest point.
+    point: Array
+    #: There, as the function gives them.
+    height: float
+    gradient: Array
+    curvature: Array
+    converged: bool
+
+
 def minimise(
     height_at: Height,
     start: Array,
@@ -32,14 +45,12 @@ def minimise(
     longest: Array | float = np.inf,
     steps: int = 40,
     precision: float = 1e-5,
-) -> tuple[Array, tuple[float, Array, Array], bool]:
+) -> Descent:
     """Walk downhill from a start, which is moved into the bounds; all three are (k,) float64.
 
     Coordinates that are `held` stay, and no step is longer than `longest`, in any of them or in
     each, (k,). It ends where no more fall than `precision` is to be expected, or after so many
     `steps`.
-
-    Returns the lowest point, (k,), what `height_at` says there, and whether it has converged.
     """
     x = np.minimum(np.maximum(start, low), high)  # a third of the time of np.clip
     lowest = height_at(x)
@@ -50,7 +61,7 @@ def minimise(
         height, gradient, curvature = lowest
         (at,) = (movable & (x != np.where(gradient > 0, low, high))).nonzero()
         if not len(at):
-            return x, lowest, True
+            return Descent(x, *lowest, True)
         matrix = curvature[at[:, None], at]
         diagonal = matrix.diagonal()
         # coordinates may have any units: none is small beside another
@@ -64,7 +75,7 @@ def minimise(
         moved = trial - x
         expected = -float(2.0 * gradient @ moved + moved @ curvature @ moved)
         if abs(expected) < precision and damping <= 1.0:
-            return x, lowest, True
+            return Descent(x, *lowest, True)
         there = height_at(trial)
         if there[0] < height:
             gain = height - there[0]
@@ -75,5 +86,5 @@ def minimise(
             damping = max(10.0 * damping, 1e-3)
             if damping > _LAST_DAMPING:
                 # rounding hides what is left to gain
-                return x, lowest, True
-    return x, lowest, False
+                return Descent(x, *lowest, True)
+    return Descent(x, *lowest, False)

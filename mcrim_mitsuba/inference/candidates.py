@@ -204,7 +204,7 @@ class CandidateMaker:
         ideal = statistic.against(fit.signal[fit.statistic.used], statistic.theta(fit.values))
         profile = self._explanations.profile((other,), other, fit, statistic=ideal, steps=2)
         starts = (theirs.theta, min(profile, key=lambda item: item[0])[1])
-        return min(newton(ideal, start, fit.weights, precision=0.02)[1] for start in starts)
+        return min(newton(ideal, start, fit.weights, precision=0.02).height for start in starts)
 
 
 def determined_estimates(fit: Minimum, evidence: Evidence) -> dict[str, ParameterEstimate]:
@@ -287,22 +287,22 @@ def _limit(explanations: Explanations, effect: str, name: str) -> Limit:
     nested = bounds.minimum <= absent <= bounds.maximum
     # the fit is the best of its deviance, in which larger errors of the simulation cost something;
     # with weights that stay as they are chi2 may be lower where the effect is absent
-    theta, least, free = fit.theta, fit.chi2, {p.name: p for p in fit.statistic.free}
+    best = newton(fit.statistic, fit.theta, fit.weights, steps=0)._replace(height=fit.chi2)
+    free = {p.name: p for p in fit.statistic.free}
     if all(n not in free or free[n].minimum <= v <= free[n].maximum for n, v in absences.items()):
         start = fit.statistic.theta({**baseline.values, **absences})
-        at_absence, chi2, *_ = newton(fit.statistic, start, fit.weights, precision=0.01)
-        if chi2 < least:
-            theta, least = at_absence, chi2
+        at_absence = newton(fit.statistic, start, fit.weights, precision=0.01)
+        best = min(best, at_absence, key=lambda end: end.height)
     rise = RISE_95 if may_be_less and may_be_more else ONE_SIDED_95
     if not nested:
-        rise += min(baseline.chi2 - least, 0.0)
+        rise += min(baseline.chi2 - best.height, 0.0)
     never_absent = all(p.absent is None for p in explanations.effects[effect].parameters)
     excluded = never_absent and rise <= 0.0
     lower: float | None
     upper: float | None
-    lower = upper = float(theta[fit.statistic.index(name)])
+    lower = upper = float(best.point[fit.statistic.index(name)])
     if rise > 0.0:  # else even the best value is refused
-        walk = ProfileWalk(fit.statistic, fit.weights, theta, least, name, TO_LIMITS)
+        walk = ProfileWalk(fit.statistic, fit.weights, best, name, TO_LIMITS)
         lower, upper = walk.crossings(rise)
     return Limit(
         parameter=name,

@@ -193,7 +193,7 @@ def _bad_readings(fit: Minimum) -> list[Suspect]:
         variance = fit.weights.errors.variance.copy()
         variance[i] += SUSPICION.left_out * fit.weights.covariance[i, i]
         weights = Weights(replace(fit.weights.errors, variance=variance))
-        _, chi2, *_ = newton(fit.statistic, fit.theta, weights)
+        chi2 = newton(fit.statistic, fit.theta, weights).height
         gain = max(fit.chi2 - chi2, 0.0)
         # to first order the square of the pull is the gain
         pull = math.copysign(math.sqrt(gain), pulls[i])
@@ -209,7 +209,7 @@ def _swapped(fit: Minimum) -> list[Suspect]:
         statistic = fit.statistic.exchanged(*wrong.exchange(len(fit.statistic.signal)))
         # signals move with their own errors, all else stays
         weights = Weights(replace(fit.weights.errors, variance=statistic.variance))
-        _, chi2, *_ = newton(statistic, fit.theta, weights)
+        chi2 = newton(statistic, fit.theta, weights).height
         followed.append((chi2, wrong))
     followed.sort(key=lambda item: (item[0], item[1].rows))
     return [suspected(fit, wrong, chi2) for chi2, wrong in followed[: SUSPICION.to_the_end]]

@@ -176,7 +176,7 @@ def curve_of(
         )
         thetas = [theta for _, theta in profile]
     else:  # on or off
-        thetas = [newton(ideal, statistic.theta(centre), frame.fit.weights, steps=4)[0]]
+        thetas = [newton(ideal, statistic.theta(centre), frame.fit.weights, steps=4).point]
     points = np.array([frame.displacement(statistic, theta) for theta in thetas])
     log_scales = np.array([frame.log_scale(statistic, theta) for theta in thetas])
     if not own:

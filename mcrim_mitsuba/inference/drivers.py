@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from iminuit import Minuit
 
-from mcrim_mitsuba.core.descent import Array, minimise
+from mcrim_mitsuba.core.descent import Array, Descent, minimise
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.settings import LINEAR, SEARCH
 from mcrim_mitsuba.inference.statistic import Statistic, Weights, inverse, p_value
@@ -29,20 +29,19 @@ def newton(
     held: Sequence[int] = (),
     steps: int = 40,
     precision: float = 1e-5,
-) -> tuple[Array, float, bool, Array, Array]:
+) -> Descent:
     """Walk downhill from a start, with the weights held.
 
-    `held` are the places of parameters that stay; the rest is as for `core.descent.minimise`.
-
-    Returns parameters, chi2, whether it converged, and half of the (free,) slopes and (free, free)
-    second derivatives of chi2 there in the searched coordinates.
+    `held` are the places of parameters that stay; the rest is as for `core.descent.minimise`. The
+    height is chi2, and the point is one of parameters; slopes and second derivatives are in the
+    searched coordinates.
     """
 
     def height_at(x: Array) -> tuple[float, Array, Array]:
         residuals, slopes = statistic.evaluate(statistic.external(x), weights)
         return float(residuals @ residuals), slopes.T @ residuals, slopes.T @ slopes
 
-    x, (chi2, slopes, curvatures), converged = minimise(
+    end = minimise(
         height_at,
         statistic.internal(theta),
         statistic.low,
@@ -52,7 +51,7 @@ def newton(
         steps=steps,
         precision=precision,
     )
-    return statistic.external(x), chi2, converged, slopes, curvatures
+    return end._replace(point=statistic.external(end.point))
 
 
 def minuit(statistic: Statistic, theta: Array, weights: Weights) -> tuple[Array, float, bool]:
@@ -248,8 +247,9 @@ def settle(statistic: Statistic, theta: Array, *, precision: float = 1e-5) -> Mi
     """The minimum that a start leads to, its covariance updated until it agrees with it."""
     for _ in range(SEARCH.most_updates):
         start, weights = theta, Weights(statistic.errors_at(theta))
-        theta, chi2, converged, *_ = newton(statistic, theta, weights, precision=precision)
-        minimum = Minimum.at(statistic, theta, chi2, weights, converged)
+        end = newton(statistic, theta, weights, precision=precision)
+        minimum = Minimum.at(statistic, end.point, end.height, weights, end.converged)
+        theta = end.point
         if minimum.distance(start) < SEARCH.settled:
             break
     return minimum
@@ -260,13 +260,15 @@ def best_of(statistic: Statistic, starts: Iterable[Array], weights: Weights) -> 
 
     The weights are held while the starts are followed; the lowest two then get their own.
     """
-    ends: list[tuple[float, Array]] = []
+    ends: list[Descent] = []
     for start in starts:
-        theta, chi2, *_ = newton(statistic, start, weights)
-        if all(abs(chi2 - other) > SEARCH.same_height * (1.0 + other) for other, _ in ends):
-            ends.append((chi2, theta))
-    ends.sort(key=lambda end: end[0])
-    minima = [settle(statistic, theta) for _, theta in ends[:2]]
+        found = newton(statistic, start, weights)
+        if all(
+            abs(found.height - end.height) > SEARCH.same_height * (1.0 + end.height) for end in ends
+        ):
+            ends.append(found)
+    ends.sort(key=lambda end: end.height)
+    minima = [settle(statistic, end.point) for end in ends[:2]]
     return min(minima, key=lambda minimum: minimum.deviance)
 
 
@@ -279,8 +281,8 @@ def find_minima(statistic: Statistic) -> list[Minimum]:
     weights = Weights(statistic.errors_before_any_fit())
     minima: list[Minimum] = []
     for start in _starts(statistic, weights):
-        theta, *_ = newton(statistic, start, weights)
-        rough = settle(statistic, theta, precision=SEARCH.newton_precision)
+        end = newton(statistic, start, weights)
+        rough = settle(statistic, end.point, precision=SEARCH.newton_precision)
         theta, chi2, content = minuit(statistic, rough.theta, rough.weights)
         # MINUIT begins clear of the bounds, and may end a little above where it was
         if chi2 > rough.chi2:
@@ -305,8 +307,8 @@ def _starts(statistic: Statistic, weights: Weights) -> list[Array]:
             # the statistic is nearly quadratic in the scale: the descent mends what is left
             start[place] *= float(np.median((statistic.signal / predicted)[rows]))
         start = np.clip(start, *statistic.bounds)
-        end, height, *_ = newton(statistic, start, weights, held=others, steps=3, precision=0.01)
-        return end, height
+        end = newton(statistic, start, weights, held=others, steps=3, precision=0.01)
+        return end.point, end.height
 
     own_start = [with_best_scale(theta.copy())[0]]
     if ALPHA_SCAT not in statistic.names:

@@ -147,7 +147,7 @@ class Explanations:
             return True
         start = fit.statistic.theta({**fit.values, **nearest})
         held = [fit.statistic.index(name) for name in nearest]
-        chi2 = newton(fit.statistic, start, fit.weights, held=held, precision=0.01)[1]
+        chi2 = newton(fit.statistic, start, fit.weights, held=held, precision=0.01).height
         return chi2 < fit.chi2 + 1.0
 
     def title(self, added: Iterable[str]) -> str:
@@ -266,12 +266,10 @@ class Explanations:
         for i in order:
             side = single and nodes[i][names[0]] > absent[names[0]]
             start = statistic.theta({**warm.get(side, fewer.values), **nodes[i]})
-            theta, chi2, *_ = newton(
-                statistic, start, weights, held=held, steps=steps, precision=precision
-            )
-            points[i] = (chi2, theta)
+            end = newton(statistic, start, weights, held=held, steps=steps, precision=precision)
+            points[i] = (end.height, end.point)
             if single:
-                warm[side] = statistic.values(theta)
+                warm[side] = statistic.values(end.point)
         return [points[i] for i in range(len(nodes))]
 
 

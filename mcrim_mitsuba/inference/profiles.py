@@ -17,7 +17,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq, minimize_scalar
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
-from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.descent import Array, Descent
 from mcrim_mitsuba.inference.drivers import Minimum, newton
 from mcrim_mitsuba.inference.settings import CURVE, RISE_95, Pace
 from mcrim_mitsuba.inference.statistic import Statistic, Weights, inverse
@@ -92,9 +92,9 @@ def profiles_of(minimum: Minimum) -> tuple[Profile, ...]:
     relative error is a Gaussian factor on the light yield. The last few are kept.
     """
     statistic, weights = minimum.statistic, minimum.weights
-    theta, chi2, *_ = newton(statistic, minimum.theta, weights, precision=CURVE.precision)
+    end = newton(statistic, minimum.theta, weights, precision=CURVE.precision)
     profiles = {
-        name: _profile(ProfileWalk(statistic, weights, theta, chi2, name), minimum)
+        name: _profile(ProfileWalk(statistic, weights, end, name), minimum)
         for name in minimum.names
     }
     for scale, (name, light_yield) in statistic.model.campaign.light_yields.items():
@@ -131,33 +131,30 @@ def _profile(walk: ProfileWalk, minimum: Minimum) -> Profile:
 class ProfileWalk:
     """The profile of one parameter in the coordinate in which minima are searched.
 
-    It begins at (free,) parameters `theta` and their chi2, and goes outwards on both sides.
+    It begins at the `solution`, where a descent ended, and goes outwards on both sides.
     """
 
     def __init__(
         self,
         statistic: Statistic,
         weights: Weights,
-        theta: Array,
-        chi2: float,
+        solution: Descent,
         name: str,
         pace: Pace = CURVE,
     ) -> None:
         self._statistic, self._weights, self._pace = statistic, weights, pace
-        self._chi2 = chi2
-        self.theta, self.place = theta, statistic.index(name)
-        residuals, slopes = statistic.evaluate(theta, weights)
-        solution = statistic.internal(theta)
-        start = float(solution[self.place])
-        information = slopes.T @ slopes
+        self._chi2 = solution.height
+        self.theta, self.place = solution.point, statistic.index(name)
+        coordinates = statistic.internal(solution.point)
+        start = float(coordinates[self.place])
         # where the others were best, by this one's coordinate, and chi2's curvature there
-        self._followed = {start: (solution, information)}
-        curvature = float(inverse(information)[self.place, self.place]) ** -1
+        self._followed = {start: (coordinates, solution.curvature)}
+        curvature = float(inverse(solution.curvature)[self.place, self.place]) ** -1
         sides = [
             self._side(start, wall, curvature)
             for wall in (float(end[self.place]) for end in (statistic.low, statistic.high))
         ]
-        middle = (start, 0.0, 2.0 * float(slopes[:, self.place] @ residuals))
+        middle = (start, 0.0, 2.0 * float(solution.gradient[self.place]))
         #: (points, 3) float64: Coordinates, ascending, rises of chi2 and their slopes.
         self.points = np.array([*sides[0][::-1], middle, *sides[1]])
 
@@ -215,12 +212,10 @@ class ProfileWalk:
         )
         ahead[place] = x
         theta = statistic.external(np.clip(ahead, statistic.low, statistic.high))
-        theta, chi2, _, slopes, information = newton(
-            statistic, theta, self._weights, held=[place], precision=self._pace.precision
-        )
-        self._followed[x] = statistic.internal(theta), information
+        end = newton(statistic, theta, self._weights, held=[place], precision=self._pace.precision)
+        self._followed[x] = statistic.internal(end.point), end.curvature
         # others at their best do not add to the slope
-        return chi2 - self._chi2, 2.0 * float(slopes[place])
+        return end.height - self._chi2, 2.0 * float(end.gradient[place])
 
     def _side(self, start: float, wall: float, curvature: float) -> _Points:
         """(coordinate, rise, slope) of the points from the solution to one side."""

@@ -264,7 +264,7 @@ class CampaignSimulations:
                 start = minimum.theta.copy()
                 start[place] = end
                 if goes_on[side]:
-                    _, chi2, *_ = newton(statistic, start, minimum.weights, held=[place])
+                    chi2 = newton(statistic, start, minimum.weights, held=[place]).height
                     beyond[side] |= chi2 < minimum.chi2 + ONE_SIGMA
         return Beyond(*beyond)
 

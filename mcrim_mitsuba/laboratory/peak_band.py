@@ -53,10 +53,8 @@ def _most_likely(
         chi2 = 2 * (np.sum(of_model - counts) + np.sum(counts[filled] * ratio))
         return float(chi2), slopes @ (1.0 - counts / of_model), (slopes / of_model) @ slopes.T
 
-    p, (chi2, *_), _ = minimise(
-        chi2_at, start, *bounds, held=held, steps=_MOST_STEPS, precision=_CLOSE
-    )
-    return p, *expected(p), max(chi2, 0.0)
+    end = minimise(chi2_at, start, *bounds, held=held, steps=_MOST_STEPS, precision=_CLOSE)
+    return end.point, *expected(end.point), max(end.height, 0.0)
 
 
 def _inverse_information(slopes: Array, variances: Array) -> Array:

@@ -149,7 +149,7 @@ def test_nothing_hidden_is_adequate_with_limits():
     fit = explanations.fit(("gap_bubble",))
     place = fit.statistic.index("bubble_fraction")
     at = fit.statistic.theta({**fit.values, "bubble_fraction": bubble.upper})
-    _, there, *_ = newton(fit.statistic, at, fit.weights, held=[place])
+    there = newton(fit.statistic, at, fit.weights, held=[place]).height
     assert there - fit.chi2 == pytest.approx(2.706, abs=0.1)
 
 
@@ -162,9 +162,9 @@ def test_limits_do_not_begin_at_a_worse_minimum():
     fit = explanations.fit(key)
     place = fit.statistic.index("gap_offset_mm")
     at = fit.statistic.theta({**fit.values, "gap_offset_mm": 0.4})
-    theta, chi2, *_ = newton(fit.statistic, at, fit.weights, held=[place])
-    assert chi2 > explanations.baseline.chi2 + 3.841
-    explanations._fits[key] = replace(fit, theta=theta, chi2=chi2)
+    end = newton(fit.statistic, at, fit.weights, held=[place])
+    assert end.height > explanations.baseline.chi2 + 3.841
+    explanations._fits[key] = replace(fit, theta=end.point, chi2=end.height)
     found = upper_limits(explanations)["gap_thickness"]
     for ours, theirs in ((found.lower, right.lower), (found.upper, right.upper)):
         assert ours == pytest.approx(theirs, abs=0.01)

@@ -95,7 +95,7 @@ def test_both_drivers_end_at_the_same_chi2(monkeypatch, cache, name):
     best = find_minima(statistic)[0]
     # some standard errors away
     start = np.clip(best.theta + 2.0 * np.sqrt(np.diag(best.covariance)), *statistic.bounds)
-    _, by_newton, *_ = newton(statistic, start, best.weights, precision=1e-9)
+    by_newton = newton(statistic, start, best.weights, precision=1e-9).height
     _, by_minuit, content = minuit(statistic, start, best.weights)
     assert content and abs(by_newton - by_minuit) < 1e-6
     assert abs(by_newton - best.chi2) < 1e-6

@@ -512,8 +512,9 @@ def test_a_descent_moves_coordinates_of_any_unit():
         return float(residuals @ residuals), residuals / units, np.diag(units**-2.0)
 
     infinite = np.full(2, np.inf)
-    x, (height, *_), converged = minimise(height_at, np.zeros(2), -infinite, infinite)
-    assert converged and height < 1e-5 and x / units == pytest.approx(lowest, rel=1e-2)
+    end = minimise(height_at, np.zeros(2), -infinite, infinite)
+    assert end.converged and end.height < 1e-5
+    assert end.point / units == pytest.approx(lowest, rel=1e-2)
 
 
 def test_linear_fit_against_its_closed_form(campaign):
