@@ -162,7 +162,7 @@ def photograph(
 
 
 def _smoothed(light: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """What Wiener's filter leaves of pictures, (height, width, 3), with the variance of their noise.
+    """What Wiener's filter leaves of a picture, (height, width, 3), by the variance of its noise.
 
     As `scipy.signal.wiener`, whose import takes half a second.
     """

@@ -58,7 +58,7 @@ def keys() -> dict[str, str]:
 
 
 def statements(tree: ast.Module) -> Iterator[ast.stmt]:
-    """All of a module but those for type checkers only; expressions are most of it, and hold none."""
+    """All of a module but those for type checkers only, without going through expressions."""
     todo = [tree]
     while todo:
         node = todo.pop()
