@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from scipy.ndimage import uniform_filter
+from scipy.signal import wiener
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import signals_wait
@@ -157,20 +158,9 @@ def photograph(
         # how much exposures differ is the noise that the filter takes out, of each pixel its own
         noise: Any = np.maximum(squares / count - mean**2, 0.0) / (count - 1)
         noise = _NOISE * uniform_filter(noise, (_MEASURED, _MEASURED, 0)) + 1e-9
-        mean = _smoothed(mean, noise)
+        with np.errstate(divide="ignore"):
+            mean = np.dstack([wiener(mean[..., i], _SMOOTH, noise[..., i]) for i in range(3)])
     return (mean / floor_light).astype(np.float32)
-
-
-def _smoothed(light: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """What Wiener's filter leaves of a picture, (height, width, 3), by the variance of its noise.
-
-    As `scipy.signal.wiener`, whose import takes half a second.
-    """
-    near, squares = (
-        uniform_filter(values, (_SMOOTH, _SMOOTH, 0), mode="constant")
-        for values in (light, light**2)
-    )
-    return near + (1.0 - noise / np.maximum(squares - near**2, noise)) * (light - near)
 
 
 @signals_wait()
