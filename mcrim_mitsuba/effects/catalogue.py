@@ -201,6 +201,33 @@ def add(
     return text
 
 
+#: By scene and name the effect that was tried and why it was refused, see `refusal_of`.
+_TRIED: dict[tuple[object, ...], tuple[Effect, str | None]] = {}
+_MOST_TRIED = 2000
+
+
+def refusal_of(effect: Effect, scene: SceneFile) -> str | None:
+    """Why `add` refuses an effect by its usual values, or None; once for scenes that say the same.
+
+    Raises BrokenEffectError as `add` does.
+    """
+    key = (*scene.says, effect.name)
+    # by name, for who wrote an effect of one's own may have mended it; a file may be another now
+    if key in _TRIED and _TRIED[key][0] is effect and not any(scene.naming()):
+        return _TRIED[key][1]
+    problem = None
+    try:
+        add(effect, scene)
+    except BrokenEffectError:
+        raise
+    except InputError as error:
+        problem = error.problem
+    if len(_TRIED) >= _MOST_TRIED:
+        _TRIED.clear()
+    _TRIED[key] = effect, problem
+    return problem
+
+
 def _broken(effect: Effect, problem: str, error: Exception | None = None) -> BrokenEffectError:
     """The refusal of an effect whose own code is wrong, with its file and line."""
     assert effect.edit is not None

@@ -21,7 +21,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, SOURCE_Z, Value
 from mcrim_mitsuba.core.rounding import number
 from mcrim_mitsuba.core.run import Provenance, Run
-from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
+from mcrim_mitsuba.effects.catalogue import refusal_of
 from mcrim_mitsuba.effects.effect import WRONG, Effect
 from mcrim_mitsuba.effects.scene_edits import GAP, HEIGHT, WIDTH
 from mcrim_mitsuba.efficiency.attenuation import SOURCE_WIDTH
@@ -534,14 +534,14 @@ class CampaignSimulations:
                 continue
             try:
                 campaign.with_effects([name])
-                if effect.edit is not None:
-                    add(effect, campaign.scene)
-            except BrokenEffectError:
-                raise
             except InputError as error:
-                self.not_tried[name] = error.problem
-                continue
-            found[name] = effect
+                refusal: str | None = error.problem
+            else:
+                refusal = refusal_of(effect, campaign.scene) if effect.edit is not None else None
+            if refusal is None:
+                found[name] = effect
+            else:
+                self.not_tried[name] = refusal
         return found
 
 

@@ -236,6 +236,12 @@ class SceneFile:
                     raise refused(problem, "name another file") from None
         return digest.hexdigest()
 
+    @property
+    def says(self) -> tuple[object, ...]:
+        """All that was read of it and given to it: alike in scenes that say the same."""
+        given = (*self.overrides.items(),), (*self.parameters.items(),)
+        return (str(self.path), *given, *self._sources.items())
+
     @functools.cached_property
     def text_or_hash(self) -> bytes | str:
         """Tells scenes apart as `content_hash`, and those that differ in blanks, but sooner."""

@@ -97,7 +97,7 @@ def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, scen
             packed.extractall(tmp_path / "mended")
         app.settled()
         [mended] = (tmp_path / "mended").rglob("*.toml")
-        fitted = mcrim(tmp_path / "fit.json", "calibrate", mended, "--photons=65536")
+        fitted = mcrim(tmp_path / "fit.json", "calibrate", mended, "--photons=32768")
         assert fitted["chi2"] < 25
 
         browser.click("#get-report")

@@ -11,7 +11,7 @@ from app_page import KEYS, LONGEST_SIMULATION_S, misfit, running
 from mcrim_mitsuba.app.bench_picture import bench_words
 from mcrim_mitsuba.campaign.measurements import Reading
 
-MANY_PHOTONS = 1_048_576
+MANY_PHOTONS = 524_288
 
 
 @pytest.fixture

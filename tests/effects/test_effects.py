@@ -24,6 +24,7 @@ from mcrim_mitsuba.effects.catalogue import (
     add,
     catalogue,
     entry_points_there_are,
+    refusal_of,
 )
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter, Rows
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
@@ -487,6 +488,25 @@ def test_what_is_wrong_in_a_user_s_effect_is_said_of_its_file(tmp_path, wrong, s
     effect = catalogue(tmp_path)["black_spot"]
     with pytest.raises(InputError, match=says):
         add(effect, read_scene(SCENES / "camoo4.xml"))
+
+
+def test_why_an_effect_is_refused_is_asked_again_where_something_has_changed(tmp_path):
+    """Of scenes that say the same it is known, and costs nothing."""
+    tried = []
+
+    def edit(editor):
+        tried.append(editor)
+        if editor.scene.parameters["gap_mm"] > 0.1:
+            raise InputError("the gap is wide", "make it narrow")
+
+    own = Effect("x", "x", "x", "x", edit=edit)
+    path = tmp_path / "bench.xml"
+    path.write_text(text := (SCENES / "camoo4.xml").read_text())
+    assert [refusal_of(own, read_scene(path)) for _ in range(2)] == [None] * 2 and len(tried) == 1
+    assert refusal_of(own, read_scene(path, {"gap_mm": 0.2})) == "the gap is wide"
+    path.write_text(re.sub('(name="gap_mm" value=)"[^"]*"', r'\1"0.3"', text))
+    assert refusal_of(own, read_scene(path)) == "the gap is wide" and len(tried) == 3
+    assert refusal_of(replace(own, edit=lambda editor: None), read_scene(path)) is None
 
 
 def test_what_is_wrong_in_an_edit_with_arguments_is_said_of_its_file(bench):

@@ -2,9 +2,9 @@
 
 import dataclasses
 import inspect
+import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import jedi
@@ -49,28 +49,32 @@ implicit_reexport = false
 """
 
 
+#: Of what a user may mistake; nothing passes because it may be anything.
+SLIPS = ("light.etta", "fit.light_yield", "mcrim.simulat", "fit.rows[0].pul", "table.axis")
+
+
 @pytest.fixture(scope="module")
-def mypy(tmp_path_factory) -> Callable[..., str]:
-    """``mypy(folder, *words)``: what it says there. What it knows of the package, it keeps."""
-    cache = tmp_path_factory.mktemp("mypy")
-
-    def said(folder: Path, *words: str | Path) -> str:
-        command = [sys.executable, "-m", "mypy", "--no-pretty", "--cache-dir", cache, *words]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-        return done.stdout + done.stderr
-
-    return said
-
-
-def test_what_functions_say_of_their_arguments_holds(mypy):
-    said = mypy(ROOT)
-    assert said.startswith("Success: no issues"), said
-
-
-def test_a_script_of_every_function_is_typed(mypy, tmp_path):
-    """Of a user, who has the package installed, and mypy strict."""
-    config = tmp_path / "strict.toml"
+def complaints(tmp_path_factory) -> list[str]:
+    """What mypy has against the package, a user's script, and the script with slips: in one run."""
+    folder = tmp_path_factory.mktemp("mypy")
+    config, wrong = folder / "strict.toml", folder / "wrong.py"
     config.write_text((ROOT / "pyproject.toml").read_text() + STRICT)
+    wrong.write_text(SCRIPT.read_text() + "".join(f"\nprint({slip})" for slip in SLIPS))
+    # the cache would be read by nobody
+    words = ["--no-pretty", "--cache-dir", os.devnull, f"--config-file={config}"]
+    command = [sys.executable, "-m", "mypy", *words, "mcrim_mitsuba", SCRIPT, wrong]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1].startswith("Found "), done.stdout + done.stderr
+    return done.stdout.splitlines()[:-1]
+
+
+def test_what_functions_say_of_their_arguments_holds(complaints):
+    assert [line for line in complaints if line.startswith("mcrim_mitsuba/")] == []
+
+
+def test_a_script_of_every_function_is_typed(complaints):
+    """Of a user, who has the package installed, and mypy strict."""
+    assert (ROOT / "mcrim_mitsuba" / "py.typed").is_file()  # which the wheel has too
     used = SCRIPT.read_text()
     functions = set(mcrim.__all__) - {
         "Campaign",
@@ -80,14 +84,10 @@ def test_a_script_of_every_function_is_typed(mypy, tmp_path):
         "use_variant",
     }
     assert [name for name in functions if f"mcrim.{name}(" not in used] == []
-    # nothing passes because it may be anything
-    slips = ("light.etta", "fit.light_yield", "mcrim.simulat", "fit.rows[0].pul", "table.axis")
-    wrong = tmp_path / "wrong.py"
-    wrong.write_text(used + "".join(f"\nprint({slip})" for slip in slips))
-    said = mypy(tmp_path, f"--config-file={config}", SCRIPT, wrong)
-    complaints = [line for line in said.splitlines() if ": error: " in line]
-    assert [line.startswith("wrong.py:") for line in complaints] == [True] * len(slips), said
-    assert all(line.endswith("[attr-defined]") for line in complaints), said
+    of_scripts = [line for line in complaints if not line.startswith("mcrim_mitsuba/")]
+    errors = [line for line in of_scripts if ": error: " in line]
+    assert ["wrong.py:" in line for line in errors] == [True] * len(SLIPS), of_scripts
+    assert all(line.endswith("[attr-defined]") for line in errors), of_scripts
 
 
 @pytest.mark.parametrize("function", RESULTS)

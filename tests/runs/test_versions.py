@@ -8,6 +8,8 @@ import shutil
 import subprocess
 import sys
 import tokenize
+from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -55,6 +57,18 @@ def keys() -> dict[str, str]:
     return {unit: code_hash([unit.replace("mcrim_mitsuba", "mcrim_copy")]) for unit in UNITS}
 
 
+def statements(tree: ast.Module) -> Iterator[ast.stmt]:
+    """All of a module but those for type checkers only, without going through expressions."""
+    todo = [tree]
+    while todo:
+        node = todo.pop()
+        yield node
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            node.body = []
+        for part in ("body", "orelse", "finalbody", "handlers", "cases"):
+            todo += getattr(node, part, ())
+
+
 def imported(package: Path, start: str) -> set[Path]:
     """Files that a module needs, by Python's own parser."""
     files, todo = set(), {start.replace(PACKAGE.name, package.name)}
@@ -66,11 +80,7 @@ def imported(package: Path, start: str) -> set[Path]:
             if file in files or not file.is_file():
                 continue
             files.add(file)
-            tree = ast.parse(file.read_text())
-            for node in list(ast.walk(tree)):
-                if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-                    node.body = []
-            for node in ast.walk(tree):
+            for node in statements(ast.parse(file.read_text())):
                 if isinstance(node, ast.Import):
                     todo |= {name.name for name in node.names}
                 elif isinstance(node, ast.ImportFrom):
@@ -80,11 +90,14 @@ def imported(package: Path, start: str) -> set[Path]:
 
 def constants(file: Path) -> list[ast.Constant]:
     """Numbers of a module, those within formatted strings left out."""
-    tree = ast.parse(file.read_text())
-    strings = (node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr))
-    hidden = {part for string in strings for part in ast.walk(string)}
-    numbers = (node for node in ast.walk(tree) if isinstance(node, ast.Constant))
-    return [n for n in numbers if type(n.value) in (int, float) and n not in hidden]
+    found, todo = [], deque([ast.parse(file.read_text())])
+    while todo:
+        node = todo.popleft()
+        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+            found.append(node)
+        elif not isinstance(node, ast.JoinedStr):
+            todo.extend(ast.iter_child_nodes(node))
+    return found
 
 
 def changed(file: Path, draw: random.Random) -> str:
@@ -129,9 +142,8 @@ def test_comments_docstrings_and_empty_lines_make_nothing_anew(copy):
 def commented(code: str) -> str:
     """The same code with other docstrings, comments and empty lines, by Python's own parser."""
     lines = code.split("\n")
-    tree = ast.parse(code)
     kinds = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
-    for node in ast.walk(tree):
+    for node in statements(ast.parse(code)):
         if isinstance(node, kinds) and ast.get_docstring(node) is not None:
             text = node.body[0]
             lines[text.lineno - 1] = lines[text.lineno - 1].replace('"""', '"""Otherwise: ', 1)
