@@ -138,16 +138,16 @@ def widening(
     mistaken = DISCREPANCY.odds * shares * alike
     rivals = RIVALS.bad_odds + RIVALS.swapped_odds + RIVALS.understated_odds
     mistaken *= p_instrument / (mistaken.sum() + rivals)
-    lower_95, lower, _, upper, upper_95 = (quantile(*mixture, part) for part in QUANTILES)
-    factors = []
-    for half, over, part in (
-        (0.5 * (upper - lower), over_68, QUANTILES[3]),
-        (0.5 * (upper_95 - lower_95), over_95, QUANTILES[4]),
-    ):
-        distances = np.concatenate([over, away / half])
-        of_distances = np.concatenate([p_unnamed * shares, mistaken])
-        factors.append(_held_by(distances, of_distances, float(ndtri(part))))
-    return factors[0], factors[1]
+    ends = [quantile(*mixture, part) for part in QUANTILES]
+    factor_68, factor_95 = (
+        _held_by(
+            np.concatenate([over, 2.0 * away / (ends[-1 - place] - ends[place])]),
+            np.concatenate([p_unnamed * shares, mistaken]),
+            -float(ndtri(QUANTILES[place])),
+        )
+        for place, over in ((1, over_68), (0, over_95))
+    )
+    return factor_68, factor_95
 
 
 def _odds_of_more(cause: Cause, excess: float) -> float:

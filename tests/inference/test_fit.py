@@ -20,7 +20,6 @@ from scipy import optimize, stats
 from trials.surface_model import CampaignModel, InterpolatedSurface, RecordSurface, axes_for
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.core.descent import minimise
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.efficiency.eta_grid import Grid
@@ -501,20 +500,6 @@ def test_the_unit_of_the_signals_changes_nothing(campaign, unit):
             )
     assert any("which no crystal makes" in note for note in result.notes)
     assert not any("no crystal makes" in note for note in there.notes)
-
-
-def test_a_descent_moves_coordinates_of_any_unit():
-    """A valley whose two coordinates have curvatures of 1e40 and 1e-30."""
-    units, lowest = np.array([1e-20, 1e15]), np.array([3.0, -2.0])
-
-    def height_at(x):
-        residuals = x / units - lowest
-        return float(residuals @ residuals), residuals / units, np.diag(units**-2.0)
-
-    infinite = np.full(2, np.inf)
-    end = minimise(height_at, np.zeros(2), -infinite, infinite)
-    assert end.converged and end.height < 1e-5
-    assert end.point / units == pytest.approx(lowest, rel=1e-2)
 
 
 def test_linear_fit_against_its_closed_form(campaign):

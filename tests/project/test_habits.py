@@ -33,8 +33,8 @@ MOST_BY_POSITION = 74
 #: Lines of the tests that the formatter leaves alone.
 MOST_SKIPPED_IN_TESTS = 10
 
-#: What its room's tests need not name: a type for checkers, and what `inference` is tested with.
-UNTESTED = {"core/run.py:Progress", "core/descent.py:minimise"}
+#: What its room's tests need not name: a type for checkers.
+UNTESTED = {"core/run.py:Progress"}
 
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -22,9 +22,13 @@ SEED, TRACED, SIMULATED = 1, 8_000, 32_768
 KNOWN = {
     "surface_absorption",
     "surface_roughness",
+    "wrong:n_gap=1.333",
+    "wrong:n_gap=1.46",
+    "wrong:n_gap=1.515",
     "wrong:n_gap",
     "gap_bubble",
     "gap_absorption",
+    "detector_radius",
     "detector_reflection",
     "top_reflector",
     "background",
