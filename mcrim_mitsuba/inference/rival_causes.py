@@ -75,7 +75,11 @@ def surroundings() -> tuple[Surroundings, ...]:
 # ---- wrong readings ----
 
 
-def suspicious(frame: BaselineFrame) -> dict[str, WrongRows]:
+def suspicious(
+    frame: BaselineFrame,
+    most_readings: int = RIVALS.most_readings,
+    most_swaps: int = RIVALS.most_swaps,
+) -> dict[str, WrongRows]:
     """Readings that may be wrong, rows and treatments that may be exchanged, by name.
 
     Of many readings those whose error would explain most, of all exchanges of rows the likeliest.
@@ -83,9 +87,9 @@ def suspicious(frame: BaselineFrame) -> dict[str, WrongRows]:
     labels = frame.fit.statistic.labels
     # squared, what chi2 falls by without the reading
     _, pulls = left_out(frame.fit)
-    likeliest = np.sort(np.argsort(-np.abs(pulls), kind="stable")[: RIVALS.most_readings])
+    likeliest = np.sort(np.argsort(-np.abs(pulls), kind="stable")[:most_readings])
     wrong = [WrongRows(BAD_READING, (labels[row],), (row,)) for row in likeliest.tolist()]
-    wrong += likely_swaps(frame.fit, RIVALS.most_swaps) + swapped_treatments(frame.fit)
+    wrong += likely_swaps(frame.fit, most_swaps) + swapped_treatments(frame.fit)
     return {rows.name: rows for rows in wrong}
 
 
