@@ -39,11 +39,11 @@ from mcrim_mitsuba.inference.compare import (
     swapped_treatments,
 )
 from mcrim_mitsuba.inference.displacement import BaselineFrame
-from mcrim_mitsuba.inference.drivers import Minimum
+from mcrim_mitsuba.inference.drivers import Minimum, settle
 from mcrim_mitsuba.inference.estimates import left_out
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.settings import DISCREPANCY, RIVALS
-from mcrim_mitsuba.inference.statistic import Statistic
+from mcrim_mitsuba.inference.statistic import Statistic, Weights, is_misfit
 
 #: What a discrepancy is called beside effects.
 UNKNOWN = "unknown"
@@ -75,7 +75,11 @@ def surroundings() -> tuple[Surroundings, ...]:
 # ---- wrong readings ----
 
 
-def suspicious(frame: BaselineFrame) -> dict[str, WrongRows]:
+def suspicious(
+    frame: BaselineFrame,
+    most_readings: int = RIVALS.most_readings,
+    most_swaps: int = RIVALS.most_swaps,
+) -> dict[str, WrongRows]:
     """Readings that may be wrong, rows and treatments that may be exchanged, by name.
 
     Of many readings those whose error would explain most, of all exchanges of rows the likeliest.
@@ -83,9 +87,9 @@ def suspicious(frame: BaselineFrame) -> dict[str, WrongRows]:
     labels = frame.fit.statistic.labels
     # squared, what chi2 falls by without the reading
     _, pulls = left_out(frame.fit)
-    likeliest = np.sort(np.argsort(-np.abs(pulls), kind="stable")[: RIVALS.most_readings])
+    likeliest = np.sort(np.argsort(-np.abs(pulls), kind="stable")[:most_readings])
     wrong = [WrongRows(BAD_READING, (labels[row],), (row,)) for row in likeliest.tolist()]
-    wrong += likely_swaps(frame.fit, RIVALS.most_swaps) + swapped_treatments(frame.fit)
+    wrong += likely_swaps(frame.fit, most_swaps) + swapped_treatments(frame.fit)
     return {rows.name: rows for rows in wrong}
 
 
@@ -170,6 +174,29 @@ class DiscrepancyModel:
             with_scale=moves @ covariance @ of_scale,
             of_scale=float(of_scale @ covariance @ of_scale),
         )
+
+
+def frame_beside(explanations: Explanations, frame: BaselineFrame) -> BaselineFrame | None:
+    """A frame around where the baseline's fit goes beside a discrepancy; None if it needs none.
+
+    Readings that no fit describes may push a parameter to its bound, far from where all that
+    explains them has it: there it could not move, and lines are straight for less far.
+    """
+    fit, own = frame.fit, frame.fit.statistic
+    if not any(fit.at_bound) or not is_misfit(fit.chi2, fit.p_value):
+        return None
+    covariance = DiscrepancyModel(explanations, frame).covariance()
+    fits = [
+        settle(own.with_unexplained(amplitude**2 * covariance), fit.theta)
+        for amplitude in DISCREPANCY.amplitudes
+    ]
+    free = [one for one in fits if not any(one.at_bound)]
+    if not free:
+        return None
+    theta = min(free, key=lambda one: one.deviance).theta
+    weights = Weights(own.errors_at(theta))
+    chi2 = own.chi2(theta, weights)
+    return BaselineFrame(Minimum.at(own, theta, chi2, weights, converged=True))
 
 
 def _usual(explanations: Explanations, effect: str, frame: BaselineFrame) -> Array:

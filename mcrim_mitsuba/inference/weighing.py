@@ -42,6 +42,7 @@ from mcrim_mitsuba.inference.rival_causes import (
     UNDERSTATED,
     UNKNOWN,
     DiscrepancyModel,
+    frame_beside,
     surroundings,
     suspicious,
     wrong_readings,
@@ -239,15 +240,20 @@ class _Weigher:
     """Sets in closed form, of which one after the other gets its own evidence."""
 
     def __init__(self, explanations: Explanations, null: NullDistribution) -> None:
-        self._explanations, self._frame = explanations, null.frame
+        self._explanations, self._surroundings = explanations, surroundings()
         self._readings = suspicious(null.frame)
-        self._effects, self._surroundings = tuple(null.curves), surroundings()
+        self._frame, curves = null.frame, null.curves
+        beside = frame_beside(explanations, null.frame)
+        if beside is not None:
+            self._frame = beside
+            curves = {name: curve_of(explanations, name, beside) for name in null.curves}
+        self._effects = tuple(curves)
         self._amplitudes = np.array([around.amplitude for around in self._surroundings])
         self._factors = np.array([around.error_factor for around in self._surroundings])
-        self._discrepancy = DiscrepancyModel(explanations, null.frame)
+        self._discrepancy = DiscrepancyModel(explanations, self._frame)
         self._covariance = self._discrepancy.covariance()
-        causes = [cause_of(explanations, name, curve) for name, curve in null.curves.items()]
-        causes += wrong_readings(null.frame, self._readings)
+        causes = [cause_of(explanations, name, curve) for name, curve in curves.items()]
+        causes += wrong_readings(self._frame, self._readings)
         self._log_odds_of = {cause.name: cause.log_odds for cause in causes}
         # which two causes cannot be there together
         readings = [set(wrong.rows) for wrong in self._readings.values()]
@@ -262,14 +268,14 @@ class _Weigher:
                 excluded[count + i, count + j] = i != j and bool(one_row & other_row)
         self._excluded = excluded
         self.design = Design(
-            frame=null.frame,
-            curves=null.curves,
+            frame=self._frame,
+            curves=curves,
             causes=tuple(causes),
             surroundings=self._surroundings,
-            discrepancy=self._discrepancy.seen_from(null.frame),
+            discrepancy=self._discrepancy.seen_from(self._frame),
             excluded=self._excluded,
         )
-        self.sets: WeighedSets = self.design.weighed(null.frame.z)
+        self.sets: WeighedSets = self.design.weighed(self._frame.z)
         # (3, sets): along a short last axis numpy looks slowly
         self._members = np.ascontiguousarray(self.sets.members.T)
         is_effect = (self._members >= 0) & (self._members < len(self._effects))
@@ -279,14 +285,33 @@ class _Weigher:
         self._log_weights = self.sets.log_weights - self.sets.log_weights[0]
         self._log_scales, self._variances = self.sets.log_scales.copy(), self.sets.variances.copy()
         self._full: dict[int, Hypothesis] = {}
+        # what evidences differ by from the closed form, by place; of sets that are not near as such
+        self._rises: dict[int, float] = {}
         self._errors: list[float] = []
         self._centred = np.zeros(len(self._log_weights), bool)
+        if beside is not None:
+            self._join()
 
     def _keys_of(self, members: Indices, within: Indices) -> Indices:
         """(sets,) A number for every set in its surroundings, whatever its members' order."""
         count = len(self._effects) + len(self._readings) + 1
         first, second, third = np.sort(members, axis=1).T + 1
         return ((within * count + first) * count + second) * count + third
+
+    def _join(self) -> None:
+        """Sets around another point than the baseline, and evidences, which are over that of it.
+
+        What has no name alone, of the likeliest amplitude, is the same in both.
+        """
+        none = self.sets.members[:, 0] < 0
+        lone = np.flatnonzero(none & (self._amplitudes > 0.0)[self.sets.within])
+        place = int(lone[self._log_weights[lone].argmax()])
+        self.average_over(place)
+        rise = self._rises[place]
+        self._log_scales += self._full[place].log_scale - self._log_scales[place]
+        self._log_weights[np.arange(len(none)) != place] += rise
+        self._rises[place] = 0.0
+        self._errors.clear()
 
     def centres(self) -> list[str]:
         """Effects around whose own fit sets are to be weighed, the likeliest first."""
@@ -343,10 +368,26 @@ class _Weigher:
     def likeliest_closed(self) -> int | None:
         """The likeliest set that has no evidence of its own; None where it is not worth one."""
         closed = self._log_weights.copy()
+        if self._full:
+            top = max(self._full, key=lambda place: closed[place])
+            # where lines are not straight for it, nothing else says whether all of it is needed
+            if abs(self._rises[top]) > HYPOTHESES.exact:
+                closed[self._simpler(top)] = math.inf
         closed[list(self._full)] = -math.inf
         place = int(closed.argmax())
         worth = math.log(HYPOTHESES.worth) + float(log_sum(self._log_weights))
         return place if closed[place] > worth else None
+
+    def _simpler(self, place: int) -> list[int]:
+        """Sets with one cause less, and that of all its causes in plain surroundings."""
+        members, within = self.sets.members[place], self.sets.within[place]
+        fewer = [np.where(members == one, -1, members) for one in members if one >= 0]
+        around = [within] * len(fewer) + [np.int64(0)] * int(within > 0)
+        fewer += [members] * int(within > 0)
+        if not fewer:
+            return []
+        keys = self._keys_of(np.array(fewer), np.array(around))
+        return list(self._by_key[np.searchsorted(self._keys, keys, sorter=self._by_key)])
 
     def average_over(self, place: int) -> None:
         """Give a set the evidence of its model, averaged over plausible sizes."""
@@ -354,7 +395,7 @@ class _Weigher:
         effects = tuple(name for name in names if name not in self._readings)
         wrong = tuple(name for name in names if name in self._readings)
         if not self._explanations.possible(effects):  # more parameters than readings and priors
-            self._full[place] = self._closed(place)
+            self._full[place], self._rises[place] = self._closed(place), 0.0
             return
         own_part = math.exp(self._log_weights[place] - float(log_sum(self._log_weights)))
         rough = own_part < HYPOTHESES.precise
@@ -372,8 +413,9 @@ class _Weigher:
         own += sum(self._log_odds_of[name] for name in wrong)
         closed = float(self._log_weights[place])
         self._log_weights[place] = log - self._explanations.evidence(()).log + own
+        self._rises[place] = float(self._log_weights[place]) - closed
         if len(names) > 1 or not around.is_plain:
-            self._errors.append(abs(float(self._log_weights[place]) - closed))
+            self._errors.append(abs(self._rises[place]))
         log_scale, sigma = self._scale_of(evidence)
         self._full[place] = replace(
             self._closed(place),
@@ -412,7 +454,7 @@ class _Weigher:
         """Mean and standard deviation of ln(scale / that of the baseline)."""
         if SCALE not in evidence.mean or not evidence.mean[SCALE] > 0.0:
             return 0.0, 0.0
-        mean = evidence.mean[SCALE] / self._frame.fit.values[SCALE]
+        mean = evidence.mean[SCALE] / self._explanations.baseline.values[SCALE]
         variance = math.log1p((evidence.sigma[SCALE] / evidence.mean[SCALE]) ** 2)
         return math.log(mean) - 0.5 * variance, math.sqrt(variance)
 
@@ -420,7 +462,7 @@ class _Weigher:
         """Wrong readings, or two exchanged rows, as they are told."""
         if not wrong:
             return None
-        baseline = self._frame.fit
+        baseline = self._explanations.baseline
         suspicions = [self._readings[name] for name in wrong]
         together = suspicions[0]
         if len(wrong) > 1:

@@ -1,17 +1,18 @@
 """Is a diagnosis as sure of the light yield as it says, through a campaign's simulated responses?
 
-    python scripts/trials calibrated [CAMPAIGN] [--trials 200] [--traced] [--json FILE]
+    python scripts/trials calibrated [CAMPAIGN] [--trials 200] [--excess | --traced] [--json FILE]
 
 Simulation-based calibration (S. Talts et al., arXiv:1804.06788): causes, their sizes, coefficients
-and offsets are drawn from what a diagnosis takes for known before it sees a reading; readings
-follow by the campaign's own responses, with their errors, the simulation's and those of the bench's
-numbers. Where the truth lies in the diagnosis's distribution is then even from 0 to 1, and causes
-are there as often as their probability says. Scattering has no prior, so that a diagnosis takes all
-between its bounds for equally likely: it is drawn evenly about that of the fit. Readings are wrong
-in no draw, though a diagnosis expects some.
+and offsets are drawn from what a diagnosis takes for known before it sees a reading, and so are
+wrong readings, understated errors and what has no name (`rivals`); readings follow by the
+campaign's own responses, with their errors, the simulation's and those of the bench's numbers.
+Where the truth lies in the diagnosis's distribution is then even from 0 to 1, and causes are there
+as often as their probability says. Scattering has no prior, so that a diagnosis takes all between
+its bounds for equally likely: it is drawn evenly about that of the fit.
 
-`--traced` readings are the independent tracer's, of a bench with all that is drawn in it, instead
-of the responses'; what is drawn then leaves an excess of chi2 that is spread evenly to `EXCESS`.
+With `--excess` the chi2 that the campaign as it is leaves of the readings, less its degrees of
+freedom, is spread evenly to `EXCESS`. With `--traced` it is, too, and readings are the independent
+tracer's, of a bench with all that is drawn in it, instead of the responses'.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import itertools
 import math
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
@@ -50,9 +51,10 @@ from mcrim_mitsuba.inference.simulations import CampaignModels, CampaignSimulati
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.output.description import table
 from mcrim_mitsuba.reference.tracer import trace
-from trials import formulas
+from trials import formulas, rivals
 from trials.executor import Trial, Trials, executor_options
-from trials.truth import MOST_CAUSES, do_missing, drawn_at_last
+from trials.rivals import Besides, Rivals
+from trials.truth import do_missing, drawn_at_last
 
 CAMPAIGN = Path(__file__).resolve().parents[2] / "scenes" / "camoo4_misfit.toml"
 #: Least and most of the scattering that is drawn, in parts of the fitted one.
@@ -63,7 +65,7 @@ PARTS = (0.5, 0.68, 0.9, 0.95)
 BINS = (0.0, 0.02, 0.1, 0.3, 0.7, 0.9, 1.0)
 #: Draws before one is given up.
 _MOST_DRAWS = 10_000
-#: Largest excess of chi2 of traced draws, and parts of it that are drawn in turn.
+#: Largest excess of chi2 where one is asked for, and parts of it that are drawn in turn.
 EXCESS, _STEPS = 670.0, 10
 #: Relative error of a traced reading: a third of that of a usual one.
 _TRACED_SIGMA = 0.0025
@@ -73,7 +75,8 @@ _TRACED_SIGMA = 0.0025
 @click.argument("campaign", type=click.Path(exists=True, path_type=Path), default=CAMPAIGN)
 @click.option("--trials", "number", default=200, show_default=True, type=options.Whole(1, 10_000))
 @click.option("--photons", type=options.Whole(1), help="Of a simulation; default: as `diagnose`.")
-@click.option("--traced", is_flag=True, help="Readings of the independent tracer.")
+@click.option("--excess", is_flag=True, help="Spread the excess of chi2 evenly.")
+@click.option("--traced", is_flag=True, help="That, with the tracer's readings.")
 @options.seed
 @options.json_output
 @executor_options
@@ -81,6 +84,7 @@ def main(
     campaign: Path,
     number: int,
     photons: int | None,
+    excess: bool,
     traced: bool,
     seed: int,
     json_file: str | None,
@@ -90,10 +94,13 @@ def main(
     """Are probabilities of causes and of the light yield those of draws from the prior?"""
     screen = terminal.console(json_file)
     wanted = [Trial("drawn", n) for n in range(number)]
-    code = [Path(__file__), Path(formulas.__file__)]
+    code = [Path(__file__), Path(formulas.__file__), Path(rivals.__file__)]
     what = {"campaign": str(campaign), "photons": photons, "traced": traced, "seed": seed}
+    what |= {"excess": excess or traced}
     trials = Trials("calibrated", what, wanted, code, executor)
-    arguments = {t: (str(campaign), photons, traced, t.number, seed) for t in trials.missing}
+    arguments = {
+        t: (str(campaign), photons, traced, excess, t.number, seed) for t in trials.missing
+    }
     ended = do_missing(screen, "calibrated", trials, weigh_one, arguments, log)
     if ended is not None:
         return ended
@@ -154,42 +161,64 @@ def simulated(path: str, photons: int | None) -> tuple[CampaignModels, dict[str,
     return models, {n: e for n, e in possible.items() if models.acts(n)}, baseline
 
 
-def weigh_one(path: str, photons: int | None, traced: bool, number: int, seed: int) -> dict:
+def weigh_one(
+    path: str, photons: int | None, traced: bool, excess: bool, number: int, seed: int
+) -> dict:
     """Draw a campaign from the prior, weigh all hypotheses, and score what is said of it."""
     models, effects, baseline = simulated(path, photons)
     explanations = Explanations(models.model, effects, baseline)
-    rng = np.random.default_rng([seed, number])
-    step = number % _STEPS if traced else None
-    draw = functools.partial(_draw, explanations, models, rng, step)
-    drawn = drawn_at_last(draw, _MOST_DRAWS, f"draw {number}: no readings as wanted")
-    campaign, hidden, scale = drawn
+    rivals, rng = Rivals(explanations), np.random.default_rng([seed, number])
+    step = number % _STEPS if traced or excess else None
+
+    def draw() -> tuple[Truth, Campaign] | None:
+        truth = _drawn_truth(explanations, rivals, rng, nothing=not step)
+        if truth is None:
+            return None
+        campaign = _drawn_readings(explanations, models, truth, rng, step, traced)
+        return None if campaign is None else (truth, campaign)
+
+    truth, campaign = drawn_at_last(draw, _MOST_DRAWS, f"draw {number}: no readings as wanted")
     judged = judge(replace(models, campaign=campaign).model, effects)
     if judged.judgement is None:
         raise RuntimeError(f"draw {number}: nothing to judge")
     judgement, fitted = judged.judgement, judged.fit.minimum.values[SCALE]
+
+    def said(cause: str) -> float:
+        return judgement.weighing.probability(lambda hypothesis: cause in hypothesis.causes)
+
     return {
-        "hidden": list(hidden),
+        "hidden": [*truth.effects, *truth.besides.names],
         "chi2": judged.fit.minimum.chi2,
-        "chi2_of_truth": judged.explanations.fit(hidden).chi2,
+        "chi2_of_truth": judged.explanations.fit(truth.effects).chi2,
         "verdict": judgement.verdict.word,
-        "said": {name: judgement.weighing.inclusion.get(name, 0.0) for name in effects},
-        **formulas.scores(judgement, math.log(scale / fitted)),
+        "said": {cause: said(cause) for cause in (*effects, *rivals.names)},
+        **formulas.scores(judgement, math.log(truth.values[SCALE] / fitted)),
     }
 
 
-def _draw(
-    explanations: Explanations,
-    models: CampaignModels,
-    rng: np.random.Generator,
-    step: int | None,
-) -> tuple[Campaign, tuple[str, ...], float] | None:
-    """A campaign with readings as drawn, its causes and its scale; None where it will not do.
+# ---- one draw ----
 
-    With the `step` of an excess readings are traced.
-    """
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """What a bench hides."""
+
+    effects: tuple[str, ...]
+    besides: Besides
+    #: Of all free parameters, by name.
+    values: dict[str, float]
+
+
+def _drawn_truth(
+    explanations: Explanations, rivals: Rivals, rng: np.random.Generator, *, nothing: bool
+) -> Truth | None:
+    """Causes and their sizes; None of sets that are not weighed, and of `nothing` unless wanted."""
+    besides = rivals.drawn(rng)
     drawn = (n for n in explanations.effects if rng.random() < expit(explanations.log_odds([n])))
     hidden = tuple(sorted(drawn))  # as models have them: their parameters are in that order
-    if len(hidden) > MOST_CAUSES or not explanations.possible(hidden) or (step and not hidden):
+    if len(hidden) > besides.most_effects or not explanations.possible(hidden):
+        return None
+    if not nothing and not hidden and not besides.names:
         return None
     statistic, values = explanations.statistic(hidden), explanations.baseline.values
     known = explanations.priors(hidden)
@@ -201,49 +230,65 @@ def _draw(
         values[parameter.name] = float(np.clip(value, parameter.minimum, parameter.maximum))
     values[ALPHA_SCAT] *= rng.uniform(*ABOUT)
     theta = np.clip(statistic.theta(values), *statistic.bounds)
-    signal = statistic.model.predict(theta).signal
-    if not np.all(signal > 0.0):
+    return Truth(effects=hidden, besides=besides, values=values | statistic.values(theta))
+
+
+def _drawn_readings(
+    explanations: Explanations,
+    models: CampaignModels,
+    truth: Truth,
+    rng: np.random.Generator,
+    step: int | None,
+    traced: bool,
+) -> Campaign | None:
+    """The campaign with readings of a truth; None where it will not do.
+
+    A `step` is asked of the excess of readings with all their errors: no diagnosis sees that of
+    the truth without them, and draws chosen by it would not be those of its prior any more.
+    """
+    of_these, besides = explanations.statistic(truth.effects), truth.besides
+    theta = of_these.theta(truth.values)
+    prediction = of_these.model.predict(theta)
+    if not np.all(prediction.signal > 0.0):
         return None
-    plain = _with_signals(models.campaign, signal)
-    of_these = Statistic(replace(models, campaign=plain).model(hidden))
-    if step is None:
-        errors = np.linalg.cholesky(of_these.errors_at(theta).total)
-        signal = signal.copy()
-        signal[of_these.used] += errors @ rng.standard_normal(len(errors))
-    else:
-        excess = find_minima(Statistic(replace(models, campaign=plain).model()))[0].chi2
-        if not step <= _STEPS * excess / EXCESS < step + 1:
-            return None
-        eta = of_these.model.predict(theta).eta
-        values |= dict(zip(of_these.names, theta.tolist(), strict=True))
-        traced = _traced(models, hidden, values, eta, rng)
-        if traced is None:
-            return None
-        log_eta, errors = traced
-        campaign = models.campaign.with_effects(hidden)
-        everything = frozenset([*campaign.effects, *campaign.parameters])
-        anchor = Anchor(everything, values, log_eta, np.zeros((BATCHES, len(eta))))
-        signal = models.model_of(campaign, anchor).predict(theta).signal
-        sigma = np.array([row.sigma / row.signal for row in plain.measurements.readings])
-        rest = np.sqrt(np.maximum(sigma**2 - errors**2, 0.0))
-        signal = signal * (1.0 + rest * rng.standard_normal(len(signal)))
-    if not np.all(signal > 0.0):
+    rows, used = models.campaign.measurements.readings, of_these.used
+    sigma = prediction.signal * [row.sigma / row.signal for row in rows]
+    plain = _with_readings(models.campaign, prediction.signal, sigma)
+    errors = Statistic(replace(models, campaign=plain).model(truth.effects)).errors_at(theta)
+    signal = prediction.signal[used]
+    own = besides.errors(errors.readings / np.outer(signal, signal))
+    numbers = rng.standard_normal(len(signal))
+    of_model = errors.predicted @ rng.standard_normal(errors.predicted.shape[1]) / signal
+    away = np.linalg.cholesky(own) @ numbers + of_model
+    campaign = _written(plain, besides, prediction.signal, away)
+    if campaign is None:
         return None
-    return _with_signals(plain, signal), hidden, values[SCALE]
+    if step is not None:
+        fit = find_minima(Statistic(replace(models, campaign=campaign).model()))[0]
+        if not step <= _STEPS * max(fit.chi2 - fit.ndf, 0.0) / EXCESS < step + 1:
+            return None
+    if not traced:
+        return campaign
+    found = _traced(models, truth, theta, prediction.eta, rng)
+    if found is None:
+        return None
+    signal, of_tracer = found
+    own -= np.diag(np.minimum(of_tracer[used] ** 2, 0.9 * np.diag(own)))
+    return _written(plain, besides, signal, np.linalg.cholesky(own) @ numbers)
 
 
 def _traced(
     models: CampaignModels,
-    hidden: tuple[str, ...],
-    values: Mapping[str, float],
+    truth: Truth,
+    theta: Array,
     eta: Array,
     rng: np.random.Generator,
 ) -> tuple[Array, Array] | None:
-    """(readings,) log(eta) by the tracer, the bench's numbers off as tolerances say; and errors.
+    """(readings,) signals by the tracer, the bench's numbers off as tolerances say; and errors.
 
-    `eta` says how many photons it takes. None of a bench that cannot be.
+    Errors are relative. `eta` says how many photons it takes. None of a bench that cannot be.
     """
-    campaign = models.campaign.with_effects(hidden)
+    campaign, values = models.campaign.with_effects(truth.effects), truth.values
     off = {
         of.number: float(np.clip(of.sigma * rng.standard_normal(), *of.farthest))
         for of in campaign.tolerances
@@ -265,14 +310,32 @@ def _traced(
             return None
         log_eta.append(math.log(found.eta))
         errors.append(found.eta_sigma / found.eta)
-    return np.array(log_eta), np.array(errors)
+    everything = frozenset([*campaign.effects, *campaign.parameters])
+    anchor = Anchor(everything, values, np.array(log_eta), np.zeros((BATCHES, len(eta))))
+    signal = models.model_of(campaign, anchor).predict(theta).signal
+    return signal, np.array(errors)
 
 
-def _with_signals(campaign: Campaign, signal: Array) -> Campaign:
-    """The campaign with other readings, whose relative errors are those of the old ones."""
+def _written(plain: Campaign, besides: Besides, signal: Array, away: Array) -> Campaign | None:
+    """A campaign with readings of these signals, as they are written down.
+
+    `away`, (used,), are relative errors of those in use; stated errors go where their readings go.
+    None where a reading is not positive.
+    """
+    rows = plain.measurements.readings
+    used = np.array([row.use for row in rows])
+    signal = signal.copy()
+    signal[used] *= np.exp(besides.discrepancy) * (1.0 + away)
+    sigma = signal * [row.sigma / row.signal for row in rows]
+    signal[used], sigma[used] = besides.exchanged(signal[used]), besides.exchanged(sigma[used])
+    return _with_readings(plain, signal, sigma) if np.all(signal > 0.0) else None
+
+
+def _with_readings(campaign: Campaign, signal: Array, sigma: Array) -> Campaign:
+    """The campaign with other readings, and their errors."""
     rows = campaign.measurements.readings
     readings = [
-        replace(row, signal=float(light), sigma=row.sigma / row.signal * float(light))
-        for row, light in zip(rows, signal, strict=True)
+        replace(row, signal=light, sigma=error)
+        for row, light, error in zip(rows, signal.tolist(), sigma.tolist(), strict=True)
     ]
     return replace(campaign, measurements=campaign.measurements.with_readings(readings))

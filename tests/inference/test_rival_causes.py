@@ -202,6 +202,24 @@ def test_caution_costs_little_where_the_truth_is_known():
     assert np.median(dearer) < 1.3, dearer
 
 
+@pytest.mark.parametrize("row", [8, 10, 11])
+def test_a_wrong_reading_that_pushes_a_fit_to_a_bound_is_enough(row):
+    """Absorption ends at nothing: no second cause is needed, and the yield is that of the rest."""
+
+    def written(signal):
+        return np.where(np.arange(len(signal)) == row, 0.7 * signal, signal)
+
+    explanations = bench.explanations_of(models(1, change=written), SOME)
+    baseline = explanations.baseline
+    assert baseline.at_bound[baseline.names.index("alpha_abs_per_cm")] == "min"
+    null = NullDistribution(explanations, explanations.singles())
+    weighing = weigh_hypotheses(explanations, null)
+    first = weighing.hypotheses[0]
+    assert first.causes == (f"bad reading row{row + 1}",) and weighing.shares[0] > 0.5
+    scale = baseline.values["scale"] * np.exp(first.log_scale)
+    assert abs(np.log(scale / TRUTH["scale"])) < 3.0 * first.log_scale_sigma < 0.05
+
+
 def test_something_without_a_name_grows_with_the_misfit():
     """Its size is learned: the likeliest amplitude rises with what was drawn."""
     pattern = np.array(
