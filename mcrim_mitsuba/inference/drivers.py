@@ -262,11 +262,11 @@ def best_of(statistic: Statistic, starts: Iterable[Array], weights: Weights) -> 
     """
     ends: list[Descent] = []
     for start in starts:
-        found = newton(statistic, start, weights)
+        low = newton(statistic, start, weights)
         if all(
-            abs(found.height - end.height) > SEARCH.same_height * (1.0 + end.height) for end in ends
+            abs(low.height - end.height) > SEARCH.same_height * (1.0 + end.height) for end in ends
         ):
-            ends.append(found)
+            ends.append(low)
     ends.sort(key=lambda end: end.height)
     minima = [settle(statistic, end.point) for end in ends[:2]]
     return min(minima, key=lambda minimum: minimum.deviance)

@@ -190,10 +190,10 @@ def frame_beside(explanations: Explanations, frame: BaselineFrame) -> BaselineFr
         settle(own.with_unexplained(amplitude**2 * covariance), fit.theta)
         for amplitude in DISCREPANCY.amplitudes
     ]
-    free = [one for one in fits if not any(one.at_bound)]
+    free = [minimum for minimum in fits if not any(minimum.at_bound)]
     if not free:
         return None
-    theta = min(free, key=lambda one: one.deviance).theta
+    theta = min(free, key=lambda minimum: minimum.deviance).theta
     weights = Weights(own.errors_at(theta))
     chi2 = own.chi2(theta, weights)
     return BaselineFrame(Minimum.at(own, theta, chi2, weights, converged=True))
