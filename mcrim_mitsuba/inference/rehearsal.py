@@ -31,7 +31,6 @@ from mcrim_mitsuba.inference.displacement import BaselineFrame, Curve
 from mcrim_mitsuba.inference.settings import (
     ACCEPTABLE_P,
     DISCREPANCY,
-    HYPOTHESES,
     JUDGING,
     REHEARSALS,
     RIVALS,
@@ -116,7 +115,9 @@ def widening(
     z, p, effects = design.frame.z, design.frame.fit.p_value, len(design.curves)
     excess = float(z @ z) - len(z)
     described = p is None or p >= ACCEPTABLE_P or excess <= 0.0
-    likely = p_unnamed + p_instrument >= HYPOTHESES.worth
+    rivals = RIVALS.bad_odds + RIVALS.swapped_odds + RIVALS.understated_odds
+    most_mistaken = p_instrument * DISCREPANCY.odds / (DISCREPANCY.odds + rivals)
+    likely = p_unnamed + most_mistaken >= REHEARSALS.likely
     if described or not likely or design.frame.scale_variance == 0.0:
         return 1.0, 1.0
     noise = np.random.default_rng(0).standard_normal((effects, len(z)))
@@ -136,7 +137,6 @@ def widening(
     away, over_95, over_68, alike = np.array(missed).T
     # by the odds before the readings, and by how often it looks so, part of the instrument's is its
     mistaken = DISCREPANCY.odds * shares * alike
-    rivals = RIVALS.bad_odds + RIVALS.swapped_odds + RIVALS.understated_odds
     mistaken *= p_instrument / (mistaken.sum() + rivals)
     ends = [quantile(*mixture, part) for part in QUANTILES]
     factor_68, factor_95 = (

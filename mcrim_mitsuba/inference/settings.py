@@ -355,6 +355,9 @@ class RehearsalSettings:
     least_share: float = 1e-6
     #: Sizes of every effect that are drawn to see what a campaign can say.
     draws: int = 12
+    #: Probability that what is there has no name from which intervals are rehearsed: a part of the
+    #: 5 % that are outside of the wide one anyway.
+    likely: float = 0.02
 
 
 REHEARSALS = RehearsalSettings()
