@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -101,6 +102,16 @@ class WeighedSets:
     #: (sets,) float64: Mean and variance of ln(scale / that of the baseline).
     log_scales: Array
     variances: Array
+
+    @cached_property
+    def amplitudes(self) -> Array:
+        """(sets,) of their discrepancies; 0 where there is none."""
+        return np.array([around.amplitude for around in self.surroundings])[self.within]
+
+    @cached_property
+    def error_factors(self) -> Array:
+        """(sets,) by which all stated errors are too small."""
+        return np.array([around.error_factor for around in self.surroundings])[self.within]
 
     def names(self, place: int) -> tuple[str, ...]:
         """Causes of a set."""

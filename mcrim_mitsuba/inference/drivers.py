@@ -262,11 +262,10 @@ def best_of(statistic: Statistic, starts: Iterable[Array], weights: Weights) -> 
     """
     ends: list[Descent] = []
     for start in starts:
-        low = newton(statistic, start, weights)
-        if all(
-            abs(low.height - end.height) > SEARCH.same_height * (1.0 + end.height) for end in ends
-        ):
-            ends.append(low)
+        descent = newton(statistic, start, weights)
+        rises = (abs(descent.height - end.height) / (1.0 + end.height) for end in ends)
+        if all(rise > SEARCH.same_height for rise in rises):
+            ends.append(descent)
     ends.sort(key=lambda end: end.height)
     minima = [settle(statistic, end.point) for end in ends[:2]]
     return min(minima, key=lambda minimum: minimum.deviance)

@@ -91,12 +91,8 @@ def of_instrument(sets: WeighedSets, effects: int) -> NDArray[np.bool_]:
 
     The first causes are `effects`, so many.
     """
-    amplitudes, factors = (
-        np.array([getattr(around, name) for around in sets.surroundings])[sets.within]
-        for name in ("amplitude", "error_factor")
-    )
-    there = (sets.members >= effects).any(axis=1) | (factors != 1.0)
-    return np.asarray(there & (amplitudes == 0.0))
+    there = (sets.members >= effects).any(axis=1) | (sets.error_factors != 1.0)
+    return np.asarray(there & (sets.amplitudes == 0.0))
 
 
 def widening(

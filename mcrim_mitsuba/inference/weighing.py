@@ -34,6 +34,7 @@ from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.rehearsal import (
     QUANTILES,
     Design,
+    Mixture,
     of_instrument,
     quantile,
     widening,
@@ -161,6 +162,13 @@ class Weighing:
             "the odds from fits: such far effects are no straight lines"
         )
 
+    @property
+    def mixture(self) -> Mixture:
+        """Of ln(scale / that of the baseline), a Gaussian for each hypothesis."""
+        scales = [(h.log_scale, h.log_scale_sigma) for h in self.hypotheses]
+        means, sigmas = np.array(scales).T
+        return self.shares, means, sigmas
+
     def probability(self, holds: Callable[[Hypothesis], bool]) -> float:
         """Of all hypotheses for which something holds."""
         which = np.array([holds(hypothesis) for hypothesis in self.hypotheses])
@@ -172,8 +180,7 @@ class Weighing:
         """Averaged over all; None where nothing turns the baseline's fitted scale into it."""
         if known is None or scale is None:
             return None
-        means = np.array([h.log_scale for h in self.hypotheses])
-        sigmas = np.array([h.log_scale_sigma for h in self.hypotheses])
+        _, means, sigmas = self.mixture
         efficiency = known.relative_sigma
         unnamed = np.array([h.amplitude > 0.0 for h in self.hypotheses])
         middle = quantile(self.shares, means, sigmas, 0.5)
@@ -248,8 +255,6 @@ class _Weigher:
             self._frame = beside
             curves = {name: curve_of(explanations, name, beside) for name in null.curves}
         self._effects = tuple(curves)
-        self._amplitudes = np.array([around.amplitude for around in self._surroundings])
-        self._factors = np.array([around.error_factor for around in self._surroundings])
         self._discrepancy = DiscrepancyModel(explanations, self._frame)
         self._covariance = self._discrepancy.covariance()
         causes = [cause_of(explanations, name, curve) for name, curve in curves.items()]
@@ -304,7 +309,7 @@ class _Weigher:
         What has no name alone, of the likeliest amplitude, is the same in both.
         """
         none = self.sets.members[:, 0] < 0
-        lone = np.flatnonzero(none & (self._amplitudes > 0.0)[self.sets.within])
+        lone = np.flatnonzero(none & (self.sets.amplitudes > 0.0))
         place = int(lone[self._log_weights[lone].argmax()])
         self.average_over(place)
         rise = self._rises[place]
@@ -503,10 +508,7 @@ class _Weigher:
         ]
         kept = np.array([shares[place] for place in order])
         in_full = np.array([place in self._full for place in order])
-        means = np.array([h.log_scale for h in hypotheses])
-        sigmas = np.array([h.log_scale_sigma for h in hypotheses])
-        unknown = (self._amplitudes > 0.0)[self.sets.within]
-        return Weighing(
+        weighing = Weighing(
             hypotheses=tuple(hypotheses),
             shares=kept / kept.sum(),
             inclusion={
@@ -519,13 +521,14 @@ class _Weigher:
             moving=self._moving(shares),
             p_value=_p_value(hypotheses, kept),
             design=self.design,
-            widening=widening(
-                self.design,
-                (kept / kept.sum(), means, sigmas),
-                float(shares[~self._with_effect & unknown].sum()),
-                float(shares[of_instrument(self.sets, len(self._effects))].sum()),
-            ),
         )
+        factors = widening(
+            self.design,
+            weighing.mixture,
+            float(shares[~self._with_effect & (self.sets.amplitudes > 0.0)].sum()),
+            float(shares[of_instrument(self.sets, len(self._effects))].sum()),
+        )
+        return replace(weighing, widening=factors)
 
     def _families(self, shares: Array) -> dict[str, float]:
         """Probability of all sets with a member of a family, the likeliest first."""
@@ -536,8 +539,8 @@ class _Weigher:
             held = (self._members == i).any(axis=0)
             members[family] = members.get(family, np.zeros(len(shares), bool)) | held
         wrong = (self._members >= count).any(axis=0)
-        members[INSTRUMENT] = wrong | (self._factors != 1.0)[sets.within]
-        members[UNKNOWN] = (self._amplitudes > 0.0)[sets.within]
+        members[INSTRUMENT] = wrong | (sets.error_factors != 1.0)
+        members[UNKNOWN] = sets.amplitudes > 0.0
         families = {family: float(shares[held].sum()) for family, held in members.items()}
         families[NOTHING_MISSING] = float(shares[self.place_of(())])
         return dict(sorted(families.items(), key=lambda item: -item[1]))
@@ -552,8 +555,8 @@ class _Weigher:
         means, variances = self._log_scales.copy(), self._variances.copy()
         for place, hypothesis in self._full.items():
             means[place], variances[place] = hypothesis.log_scale, hypothesis.log_scale_sigma**2
-        there = (sets.members[:, 0] >= 0) | (self._amplitudes > 0.0)[sets.within]
-        stated = own * self._factors[sets.within] ** 2
+        there = (sets.members[:, 0] >= 0) | (sets.amplitudes > 0.0)
+        stated = own * sets.error_factors**2
         width = np.sqrt(np.maximum(variances - stated, 1e-12 + 1e-6 * own))
         limit = math.sqrt(own)
         if (known := self._frame.fit.statistic.model.campaign.light_yield) is not None:

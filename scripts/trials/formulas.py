@@ -197,17 +197,17 @@ def scores(judge: Judgement, log_scale: float) -> dict[str, float]:
     Its log density there, its continuous ranked probability score, and its probability below.
     """
     weighing = judge.weighing
-    means = np.array([h.log_scale for h in weighing.hypotheses])
-    sigmas = weighing.widening[0] * np.array([h.log_scale_sigma for h in weighing.hypotheses])
+    shares, means, sigmas = weighing.mixture
+    sigmas = weighing.widening[0] * sigmas
     densities = np.exp(-0.5 * ((log_scale - means) / sigmas) ** 2) / sigmas / math.sqrt(2 * math.pi)
     at = np.linspace(
         *(f(log_scale, *means) + s * 9 * sigmas.max() for f, s in ((min, -1), (max, 1))), 4001
     )
-    below = ndtr((at[:, None] - means) / sigmas) @ weighing.shares
+    below = ndtr((at[:, None] - means) / sigmas) @ shares
     return {
-        "log_density": float(np.log(weighing.shares @ densities + 1e-300)),
+        "log_density": float(np.log(shares @ densities + 1e-300)),
         "crps": float(np.trapezoid((below - (at >= log_scale)) ** 2, at)),
-        "below": float(ndtr((log_scale - means) / sigmas) @ weighing.shares),
+        "below": float(ndtr((log_scale - means) / sigmas) @ shares),
     }
 
 
