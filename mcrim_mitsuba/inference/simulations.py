@@ -218,7 +218,7 @@ class CampaignSimulations:
         precise = frozenset[str]() if self._models is None else self._models.precise
         precise |= {e.name for e in wanted if e.name not in look or e.reading is not None}
         precise |= {*pairs} - {*look}
-        if self._models is None and self.maker.looks and self.campaign.tolerances:
+        if self._models is None and self.campaign.tolerances:
             # tolerances are simulated on what is then known to be wide enough: they take as long
             without = replace(self.campaign, tolerances=())
             of_bench = self.maker.make(wanted, tolerances=False)

@@ -100,6 +100,24 @@ def test_what_is_asked_first_costs_nothing_later(campaign, tmp_path, monkeypatch
     assert sum(new) == simulated[-1].photons
 
 
+def test_tolerances_are_simulated_once_the_grid_is_wide_enough(scenes):
+    """Where few photons were asked for, of a bar that scatters more than its first grid covers."""
+    bar, took = read_campaign(scenes / "lyso_bar.toml"), []
+    scattering = bar.parameters["alpha_scat_per_cm"]
+    readings = bar.measurements.readings[4::3]
+    bar = replace(bar, measurements=bar.measurements.with_readings(readings))
+    for maximum in (0.2, scattering.maximum):  # the first grid's, and beyond
+        least = replace(scattering, maximum=maximum)
+        for tolerances in ((), bar.tolerances[:2]):
+            parameters = {**bar.parameters, least.name: least}
+            own = replace(bar, parameters=parameters, tolerances=tolerances)
+            simulations = CampaignSimulations(own, Run(LANES, seed=3, check=False))
+            took.append((simulations.models, simulations.provenance().photons)[1])
+    exact, all_of_it, exact_beyond, all_beyond = took
+    assert exact_beyond == 2 * exact  # the bench as it is, twice
+    assert all_beyond - exact_beyond == all_of_it - exact > 0
+
+
 def test_a_misfit_is_not_lessened_by_poor_simulations(campaign):
     """Liquid readings behind the narrow mask are 20 % too low, as staff tried it.
 
