@@ -83,6 +83,8 @@ class _Placing:
     #: costs that lies on a line or in a volume that is not meant.
     points: int = 9
     looked_at: float = 0.8
+    #: Leaders that are looked at first.
+    first_looked_at: int = 1000
     on_something: float = 20.0
     #: What each cell of a photon's path under the label costs.
     on_path: float = 0.7
@@ -292,11 +294,11 @@ class SectionAxes:
             # (places, targets, 2): the point of the text's rectangle that is next to the target, or
             # its middle
             start = np.clip(targets, low, low + size - 1) if beside else low + size / 2
-            cost = np.linalg.norm(start - targets, axis=2)
-            if beside and leader:
-                cost = self._cost_of_leader(start, targets, volume)
             on_paths = _count_in_rectangles(self.crossed, w, h)[low[..., 1], low[..., 0]]
-            cost = cost + _PLACING.on_path * on_paths
+            if beside and leader:
+                cost = self._cost_of_leader(start, targets, volume, on_paths)
+            else:
+                cost = np.linalg.norm(start - targets, axis=2) + _PLACING.on_path * on_paths
             best, target = np.unravel_index(cost.argmin(), cost.shape)
             (column, row), corner = low[best, 0], low[best, 0] + _CLEAR / _CELL
             points = np.array([corner, start[best, target], targets[target]]) * _CELL + self.box.p0
@@ -312,15 +314,28 @@ class SectionAxes:
             return True
         return False
 
-    def _cost_of_leader(self, start: np.ndarray, targets: np.ndarray, volume: int) -> np.ndarray:
-        """What leaders from (places, targets, 2) to (targets, 2) cells cost: (places, targets)."""
+    def _cost_of_leader(
+        self, start: np.ndarray, targets: np.ndarray, volume: int, on_paths: np.ndarray
+    ) -> np.ndarray:
+        """What leaders from (places, targets, 2) to (targets, 2) cells cost: (places, targets).
+
+        Infinite where another is cheaper for certain: what they lie on is looked at where it may
+        decide. Each text lies on paths, `on_paths` cells, (places, 1), too.
+        """
         length = np.linalg.norm(start - targets, axis=2)
         height = np.abs(start - targets)[..., 1]
-        cost = np.abs(length - _PLACING.leader) + np.maximum(_PLACING.height - height, 0)
+        least = np.abs(length - _PLACING.leader) + np.maximum(_PLACING.height - height, 0)
+        least += _PLACING.on_path * on_paths
+        cost, few = np.full_like(least, np.inf), min(_PLACING.first_looked_at, least.size) - 1
         on_cell = _PLACING.on_something * (self.taken | ~np.isin(self.owner, (0, volume)))
-        for share in np.linspace(0, _PLACING.looked_at, _PLACING.points):
-            columns, rows = np.moveaxis((start + share * (targets - start)).astype(int), -1, 0)
-            cost += on_cell[rows, columns]
+        bound = np.partition(least, few, axis=None)[few]
+        for _ in range(2):  # the cheapest few, and those that may be cheaper than the best of them
+            near = np.nonzero(least <= bound)
+            begin, away = start[near], targets[near[1]] - start[near]
+            shares = np.linspace(0, _PLACING.looked_at, _PLACING.points)[:, None, None]
+            columns, rows = np.moveaxis((begin + shares * away).astype(int), -1, 0)
+            cost[near] = least[near] + on_cell[rows, columns].sum(axis=0)
+            bound = cost.min()
         return cost
 
 
