@@ -83,8 +83,6 @@ class _Placing:
     #: costs that lies on a line or in a volume that is not meant.
     points: int = 9
     looked_at: float = 0.8
-    #: Leaders that are looked at first.
-    first_looked_at: int = 1000
     on_something: float = 20.0
     #: What each cell of a photon's path under the label costs.
     on_path: float = 0.7
@@ -319,16 +317,15 @@ class SectionAxes:
     ) -> np.ndarray:
         """What leaders from (places, targets, 2) to (targets, 2) cells cost: (places, targets).
 
-        Infinite where another is cheaper for certain: what they lie on is looked at where it may
-        decide. Each text lies on paths, `on_paths` cells, (places, 1), too.
+        Each text lies on `on_paths` cells of paths, (places, 1), too. Infinite where another is
+        cheaper whatever the leader lies on.
         """
         length = np.linalg.norm(start - targets, axis=2)
         height = np.abs(start - targets)[..., 1]
         least = np.abs(length - _PLACING.leader) + np.maximum(_PLACING.height - height, 0)
         least += _PLACING.on_path * on_paths
-        cost, few = np.full_like(least, np.inf), min(_PLACING.first_looked_at, least.size) - 1
         on_cell = _PLACING.on_something * (self.taken | ~np.isin(self.owner, (0, volume)))
-        bound = np.partition(least, few, axis=None)[few]
+        cost, bound = np.full_like(least, np.inf), np.quantile(least, 0.01)
         for _ in range(2):  # the cheapest few, and those that may be cheaper than the best of them
             near = np.nonzero(least <= bound)
             begin, away = start[near], targets[near[1]] - start[near]

@@ -6,7 +6,7 @@ lies where, so that boxes, spheres and meshes are treated alike.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 
@@ -115,7 +115,7 @@ def _sweep(model: SceneModel, level_mm: float, normal: int, side: int) -> Iterat
         places = sorted(crossed_by)
         changes = [(a, b) for a, b in pairwise(places) if crossed_by[a][:2] != crossed_by[b][:2]]
         wide = [(a, b) for a, b in changes if b - a > tolerance]
-        pairs = np.concatenate([np.reshape(wide, (-1, 2)), _bends(crossed_by, 10 * tolerance)])
+        pairs = np.array([*wide, *_bends(crossed_by, places, 10 * tolerance)])
         if not len(pairs):
             break
         # Not evenly: a line that meets a rim is left out and must not be tried for ever; and with
@@ -149,17 +149,17 @@ def _lines(
     return met_by
 
 
-def _bends(lines: Mapping[float, _Met], tolerance: float) -> np.ndarray:
+def _bends(lines: Mapping[float, _Met], along: Sequence[float], tolerance: float) -> np.ndarray:
     """Neighbouring lines, (n, 2), between which what they meet is the same, but not straight."""
     pairs = []
-    for _, run in groupby(sorted(lines), key=lambda place: lines[place][:2]):
+    for _, run in groupby(along, key=lambda place: lines[place][:2]):
         places = np.array([*run])
         coords = np.array([lines[place][2] for place in places])
-        before, middle, after = places[:-2], places[1:-1], places[2:]
-        share = ((middle - before) / (after - before))[:, None]
+        share = (np.diff(places)[:-1] / (places[2:] - places[:-2]))[:, None]
         straight = coords[:-2] + share * (coords[2:] - coords[:-2])
         bent = (np.abs(straight - coords[1:-1]) > tolerance).any(axis=1)
-        both = np.stack([before, middle, middle, after], axis=1)[bent].reshape(-1, 2)
+        steps = np.column_stack([places[:-1], places[1:]])
+        both = np.stack([steps[:-1], steps[1:]], axis=1)[bent].reshape(-1, 2)
         pairs.append(both[np.ptp(both, axis=1) > 3 * tolerance])
     return np.concatenate(pairs)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -179,15 +180,16 @@ def _is_rim(
     """Whether no triangle goes on beyond an edge, as one of other corners may.
 
     `boxes` are the lowest and highest coordinates, shape (3, n), of each triangle: few hold what
-    is beyond.
+    is beyond, along one axis already.
     """
     along = ends[1] - ends[0]
     beyond = ends.mean(axis=0) + 1e-3 * np.cross(along, normal)
     apart = 1e-4 * np.linalg.norm(along)
     slack = apart / _SHARP  # along `normal`
-    lowest, highest = boxes
-    held = (lowest <= (beyond + slack)[:, None]) & ((beyond - slack)[:, None] <= highest)
-    held = held.all(axis=0)
+    held: Any = np.s_[:]
+    for low, high, place in zip(*boxes, beyond, strict=True):
+        inside = np.flatnonzero((low[held] <= place + slack) & (place - slack <= high[held]))
+        held = inside if isinstance(held, slice) else held[inside]
     corners, normals = corners[held], normals[held]
     level = np.abs(np.einsum("ij,ij->i", beyond - corners[:, 0], normals))
     near = corners[(normals @ normal > _SHARP) & (level < apart)]
