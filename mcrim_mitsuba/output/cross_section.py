@@ -22,6 +22,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
 from scipy.ndimage import binary_erosion
 
 from mcrim_mitsuba.core.errors import InputError, visible
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.output.scene_results import CheckResult
     from mcrim_mitsuba.scene.check_text import Interface, SceneProblem
     from mcrim_mitsuba.scene.scene_file import SceneFile
-    from mcrim_mitsuba.transport.collection import Trail
     from mcrim_mitsuba.transport.simulation import Simulation
 
 
@@ -118,7 +118,7 @@ class SectionAxes:
         # colour the volumes, and note which cells they have
         rows, columns = (places + 0.5 for places in np.ogrid[*map(slice, self.owner.shape)])
         for region in self.cut.regions:
-            self.ax.fill(*region.outline.T, color=colours[region.volume % len(colours) - 1], lw=0.2)
+            self.fill(region.outline, color=colours[region.volume % len(colours) - 1], lw=0.2)
             # the first half of an outline is its lower edge, the second its upper one, backwards;
             # no cell lies above infinity, beside the region
             lower, upper = np.split(self.in_cells(region.outline), 2)
@@ -144,7 +144,7 @@ class SectionAxes:
                 # paint lies outside of the face that wears it
                 far = trace.points[::-1] + band * (-trace.back if surface.painted else trace.back)
                 outline = np.vstack([trace.points, far])
-                self.ax.fill(*outline.T, fc="white", ec=INK, hatch="/" * 6, lw=0)
+                self.fill(outline, fc="white", ec=INK, hatch="/" * 6, lw=0)
                 self.line(far, "none", 0.0)
             if kind != "dielectric":
                 self.named.setdefault(text, []).append(trace.points)
@@ -168,7 +168,7 @@ class SectionAxes:
         texts += [text for end, text in _ADDED.items() if surface.name.endswith(end)]
         if surface.exterior == self.model.endless:  # a strip of the liquid outside
             outline = np.vstack([trace.points, trace.points[::-1] - band * trace.back])
-            self.ax.fill(*outline.T, color=COLOURS[1], lw=0)
+            self.fill(outline, color=COLOURS[1], lw=0)
         if not texts:
             return
         self.named.setdefault(", ".join(texts), []).append(trace.points)
@@ -177,6 +177,10 @@ class SectionAxes:
             profile = trace.points - 0.25 * band * trace.back
             (line,) = self.ax.plot(*profile.T, color=_ADDED_INK, lw=0.8)
             line.set_sketch_params(scale=3, length=20, randomness=6)
+
+    def fill(self, outline: np.ndarray, **look: Any) -> None:
+        """Fill a polygon (mm, shape (n, 2)); the limits are set, and need not be found of it."""
+        self.ax.add_artist(Polygon(outline, **look))
 
     def in_cells(self, points: np.ndarray) -> np.ndarray:
         """Points (mm) in units of cells from the lower left corner, shape (n, 2)."""
@@ -187,9 +191,11 @@ class SectionAxes:
         shape = np.array(self.owner.shape[::-1])
         # far ends may lie anywhere outside: to cut them off there would turn the line
         ends = self.in_cells(line)
-        counts = [min(2 + int(np.abs(b - a).max()), _MOST_CELLS) for a, b in pairwise(ends)]
-        parts = [np.linspace(*pair, n) for pair, n in zip(pairwise(ends), counts, strict=True)]
-        cells = np.floor(np.concatenate(parts)).astype(int)
+        steps = np.diff(ends, axis=0)
+        counts = np.minimum(2 + np.abs(steps).max(axis=1), _MOST_CELLS).astype(int)
+        part = np.repeat(np.arange(len(counts)), counts)
+        share = (np.arange(len(part)) - (np.cumsum(counts) - counts)[part]) / (counts - 1)[part]
+        cells = np.floor(ends[part] + share[:, None] * steps[part]).astype(int)
         return cells[((cells >= 0) & (cells < shape)).all(axis=1)]
 
     def line(self, points: np.ndarray, colour: str, width: float) -> None:
@@ -286,11 +292,11 @@ class SectionAxes:
             # (places, targets, 2): the point of the text's rectangle that is next to the target, or
             # its middle
             start = np.clip(targets, low, low + size - 1) if beside else low + size / 2
-            cost = np.linalg.norm(start - targets, axis=2)
-            if beside and leader:
-                cost = self._cost_of_leader(start, targets, volume)
             on_paths = _count_in_rectangles(self.crossed, w, h)[low[..., 1], low[..., 0]]
-            cost = cost + _PLACING.on_path * on_paths
+            if beside and leader:
+                cost = self._cost_of_leader(start, targets, volume, on_paths)
+            else:
+                cost = np.linalg.norm(start - targets, axis=2) + _PLACING.on_path * on_paths
             best, target = np.unravel_index(cost.argmin(), cost.shape)
             (column, row), corner = low[best, 0], low[best, 0] + _CLEAR / _CELL
             points = np.array([corner, start[best, target], targets[target]]) * _CELL + self.box.p0
@@ -306,15 +312,27 @@ class SectionAxes:
             return True
         return False
 
-    def _cost_of_leader(self, start: np.ndarray, targets: np.ndarray, volume: int) -> np.ndarray:
-        """What leaders from (places, targets, 2) to (targets, 2) cells cost: (places, targets)."""
+    def _cost_of_leader(
+        self, start: np.ndarray, targets: np.ndarray, volume: int, on_paths: np.ndarray
+    ) -> np.ndarray:
+        """What leaders from (places, targets, 2) to (targets, 2) cells cost: (places, targets).
+
+        Each text lies on `on_paths` cells of paths, (places, 1), too. Infinite where another is
+        cheaper whatever the leader lies on.
+        """
         length = np.linalg.norm(start - targets, axis=2)
         height = np.abs(start - targets)[..., 1]
-        cost = np.abs(length - _PLACING.leader) + np.maximum(_PLACING.height - height, 0)
-        for share in np.linspace(0, _PLACING.looked_at, _PLACING.points):
-            columns, rows = np.moveaxis((start + share * (targets - start)).astype(int), -1, 0)
-            elsewhere = ~np.isin(self.owner[rows, columns], (0, volume))
-            cost += _PLACING.on_something * (self.taken[rows, columns] | elsewhere)
+        least = np.abs(length - _PLACING.leader) + np.maximum(_PLACING.height - height, 0)
+        least += _PLACING.on_path * on_paths
+        on_cell = _PLACING.on_something * (self.taken | ~np.isin(self.owner, (0, volume)))
+        cost, bound = np.full_like(least, np.inf), np.quantile(least, 0.01)
+        for _ in range(2):  # the cheapest few, and those that may be cheaper than the best of them
+            near = np.nonzero(least <= bound)
+            begin, away = start[near], targets[near[1]] - start[near]
+            shares = np.linspace(0, _PLACING.looked_at, _PLACING.points)[:, None, None]
+            columns, rows = np.moveaxis((begin + shares * away).astype(int), -1, 0)
+            cost[near] = least[near] + on_cell[rows, columns].sum(axis=0)
+            bound = cost.min()
         return cost
 
 
@@ -375,11 +393,9 @@ def chosen_paths(
     trails, size = follow_trails(simulation), simulation.model.size_mm
     middle = (simulation.crystal.lower[1] + simulation.crystal.upper[1]) / 2
     shares = {f: s for f, s in trails.shares.items() if s >= LEAST_SHARE}
-    paths: list[DrawnTrail] = []
+    ways, paths = trails.ways(MOST_FLIGHTS, _AWAY * size), list[DrawnTrail]()
     for fate in ordered(shares):
-        numbers = np.flatnonzero(trails.fates == fate)
-        lines = [_line(trails.trail(number), size) for number in numbers.tolist()]
-        flights = trails.flights[numbers]
+        lines, flights = ways[trails.fates == fate], trails.flights[trails.fates == fate]
         wanted_flights = [_WANTED_FLIGHTS]
         if shares[fate] >= COMMON_SHARE:
             wanted_flights.append(np.median(flights))
@@ -390,34 +406,29 @@ def chosen_paths(
                 inner = view.mean(axis=0) + 0.5 * (view - view.mean(axis=0))
                 costs -= 1.5 * _through(lines, inner) + _through(lines, view)
             best = np.argsort(costs, kind="stable")[:_CANDIDATES]
-            apart = [costs[i] + _nearness(lines[i][:, ::2], paths, size) for i in best]
+            others = [_sampled(path.points) for path in paths]
+            apart = [costs[i] + _nearness(_flat(lines[i]), others, size) for i in best]
             chosen = best[int(np.argmin(apart))]
-            points, trapped = lines.pop(chosen), bool(flights[chosen] > MOST_FLIGHTS)
-            flights = np.delete(flights, chosen)
-            if view is not None and _through([points], view)[0]:
+            if view is not None and _through(lines[[chosen]], view)[0]:
                 view = None
-            paths.append(DrawnTrail(fate, points[:, [0, 2]], trapped))
+            trapped = bool(flights[chosen] > MOST_FLIGHTS)
+            paths.append(DrawnTrail(fate, _flat(lines[chosen]), trapped))
+            lines, flights = np.delete(lines, chosen, axis=0), np.delete(flights, chosen)
     return tuple(paths), shares
 
 
-def _line(trail: Trail, size: float) -> np.ndarray:
-    """Points (x, y, z) of a trail as it is drawn: cut off where it is long, out of the scene."""
-    if trail.flights > MOST_FLIGHTS:
-        return trail.points[: MOST_FLIGHTS + 1]
-    if trail.fate == "escaped":
-        # the flight after the last face has no end
-        return np.vstack([trail.points[:-1], trail.points[-1] + _AWAY * size * trail.direction])
-    return trail.points
+def _flat(line: np.ndarray) -> np.ndarray:
+    """x and z, shape (n, 2), of the points of a way, as far as it goes."""
+    return line[np.isfinite(line[:, 0])][:, [0, 2]]
 
 
-def _segments(lines: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _segments(lines: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Begin and end of all lines' segments, shape (n, 3), and which line each is of."""
-    owner = np.repeat(np.arange(len(lines)), [len(line) - 1 for line in lines])
-    begin = np.concatenate([line[:-1] for line in lines])
-    return begin, np.concatenate([line[1:] for line in lines]), owner
+    there = np.isfinite(lines[:, 1:, 0])
+    return lines[:, :-1][there], lines[:, 1:][there], np.nonzero(there)[0]
 
 
-def _costs_alone(lines: list[np.ndarray], middle: float, size: float) -> np.ndarray:
+def _costs_alone(lines: np.ndarray, middle: float, size: float) -> np.ndarray:
     """What speaks against each line: far from y = `middle`, much that is hidden, too short."""
     begin, end, owner = _segments(lines)
     steps = end - begin
@@ -425,13 +436,13 @@ def _costs_alone(lines: list[np.ndarray], middle: float, size: float) -> np.ndar
         np.bincount(owner, np.linalg.norm(part, axis=1), len(lines))
         for part in (steps, steps[:, ::2])
     )
-    aside = np.array([np.abs(line[:, 1] - middle).max() for line in lines]) / size
+    aside = np.nanmax(np.abs(lines[..., 1] - middle), axis=1) / size
     # a path that ends where it began has no length
     hidden = 1.5 * (1.0 - seen / np.maximum(length, 1e-9 * size))
     return aside + hidden + 3.0 * np.maximum(0.0, _SEEN - seen / size)
 
 
-def _through(lines: list[np.ndarray], view: np.ndarray) -> np.ndarray:
+def _through(lines: np.ndarray, view: np.ndarray) -> np.ndarray:
     """Whether each line goes through a rectangle in x and z, shape (lines,), bool."""
     begin, end, owner = _segments(lines)
     begin, step = begin[:, ::2], (end - begin)[:, ::2]
@@ -445,13 +456,12 @@ def _through(lines: list[np.ndarray], view: np.ndarray) -> np.ndarray:
     return np.bincount(owner, met, len(lines)) > 0
 
 
-def _nearness(points: np.ndarray, others: list[DrawnTrail], size: float) -> float:
-    """How close a line (x, z) comes to the paths that are there, and their ends to each other."""
+def _nearness(points: np.ndarray, others: list[np.ndarray], size: float) -> float:
+    """How close a line (x, z) comes to others, given by samples, and their ends to each other."""
     samples, cost = _sampled(points), 0.0
     for other in others:
-        other_samples = _sampled(other.points)
-        away = np.linalg.norm(samples[:, None] - other_samples, axis=2).min(axis=1) / size
-        ends = np.linalg.norm(samples[-1] - other_samples[-1]) / size
+        away = np.linalg.norm(samples[:, None] - other, axis=2).min(axis=1) / size
+        ends = np.linalg.norm(samples[-1] - other[-1]) / size
         cost += 0.5 * float(np.exp(-8.0 * away).mean()) + 0.3 * float(np.exp(-6.0 * ends))
     return cost
 
@@ -459,7 +469,7 @@ def _nearness(points: np.ndarray, others: list[DrawnTrail], size: float) -> floa
 def _sampled(points: np.ndarray) -> np.ndarray:
     """Points along a line, six on each of its segments, shape (n, 2)."""
     share = np.linspace(0.0, 1.0, 6)[:, None]
-    return np.vstack([a + share * (b - a) for a, b in pairwise(points)])
+    return (points[:-1, None] + share * np.diff(points, axis=0)[:, None]).reshape(-1, 2)
 
 
 def draw_path(ax: Axes, path: DrawnTrail) -> None:

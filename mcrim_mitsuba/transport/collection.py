@@ -294,6 +294,18 @@ class Trails:
         volumes, direction = starts[:, 3].astype(int), self._directions[number]
         return Trail(str(self.fates[number]), points, volumes, flights, direction)
 
+    def ways(self, most: int, away_mm: float) -> np.ndarray:
+        """Points (mm) of all trails, of `most` flights at most: (photons, most + 1, 3), then NaN.
+
+        An escaping photon's last flight, which has no end, goes on for `away_mm`.
+        """
+        points = self._starts[:, : most + 1, :3].copy()
+        points[np.arange(most + 1) >= self.flights[:, None]] = np.nan
+        whole = np.flatnonzero(self.flights <= most)
+        away = np.where(self.fates == "escaped", away_mm, 0.0)[whole, None]
+        points[whole, self.flights[whole]] = self._ends[whole] + away * self._directions[whole]
+        return points
+
 
 def follow_trails(simulation: Simulation, photons: int = LANES, *, seed: int = 0) -> Trails:
     """Follow photons by the transport that simulates, and write down where they fly.

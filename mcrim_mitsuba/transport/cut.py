@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 
@@ -149,15 +149,19 @@ def _lines(
     return met_by
 
 
-def _bends(
-    lines: Mapping[float, _Met], places: Sequence[float], tolerance: float
-) -> Iterator[tuple[float, float]]:
-    """Neighbouring lines between which what they meet is the same, but not straight."""
-    for a, b, c in zip(places, places[1:], places[2:], strict=False):
-        if lines[a][:2] == lines[b][:2] == lines[c][:2]:
-            straight = lines[a][2] + (b - a) / (c - a) * (lines[c][2] - lines[a][2])
-            if (np.abs(straight - lines[b][2]) > tolerance).any():
-                yield from (pair for pair in ((a, b), (b, c)) if np.ptp(pair) > 3 * tolerance)
+def _bends(lines: Mapping[float, _Met], along: Sequence[float], tolerance: float) -> np.ndarray:
+    """Neighbouring lines, (n, 2), between which what they meet is the same, but not straight."""
+    pairs = []
+    for _, run in groupby(along, key=lambda place: lines[place][:2]):
+        places = np.array([*run])
+        coords = np.array([lines[place][2] for place in places])
+        share = (np.diff(places)[:-1] / (places[2:] - places[:-2]))[:, None]
+        straight = coords[:-2] + share * (coords[2:] - coords[:-2])
+        bent = (np.abs(straight - coords[1:-1]) > tolerance).any(axis=1)
+        steps = np.column_stack([places[:-1], places[1:]])
+        both = np.stack([steps[:-1], steps[1:]], axis=1)[bent].reshape(-1, 2)
+        pairs.append(both[np.ptp(both, axis=1) > 3 * tolerance])
+    return np.concatenate(pairs)
 
 
 def masked(model: SceneModel, cut: CrossSection) -> list[Trace]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -149,9 +149,10 @@ def edges(shapes: Iterable[Triangles], radius: float) -> Triangles:
     size = np.ptp(corners.reshape(-1, 3), axis=0).max()
     sides = corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
     of_side = np.repeat(normals, 3, axis=0)
-    # sides between the same two places meet in one edge
+    # sides between the same two places meet in one edge; each place has a number of its own
     places = np.round(sides.reshape(-1, 3) / (1e-5 * size)).astype(int)
-    _, place = np.unique(places, axis=0, return_inverse=True)
+    places = (places - places.min(axis=0)) @ (10**12, 10**6, 1)
+    _, place = np.unique(places, return_inverse=True)
     ends = np.sort(place.reshape(-1, 2), axis=1)
     _, first, edge, sharing = np.unique(
         ends[:, 0] * len(places) + ends[:, 1],
@@ -163,14 +164,10 @@ def edges(shapes: Iterable[Triangles], radius: float) -> Triangles:
     cosines = np.einsum("ij,ij->i", of_side[first[edge]], of_side)
     np.minimum.at(lowest, edge, cosines)
     boxes = corners.min(axis=1).T.copy(), corners.max(axis=1).T.copy()
-    rods = []
-    sharp = lowest < _SHARP
-    wanted = np.flatnonzero(sharp | (sharing == 1))
-    for number in wanted[np.argsort(first[wanted])]:  # in the order of the triangles
-        side = first[number]
-        if sharp[number] or _is_rim(sides[side], of_side[side], corners, normals, boxes):
-            rods.append(_rod(sides[side, 0], sides[side, 1], radius))
-    return Triangles(np.concatenate(rods) if rods else np.zeros((0, 3, 3)))
+    sharp, alone = lowest < _SHARP, first[sharing == 1]
+    kept = [s for s in alone if _is_rim(sides[s], of_side[s], corners, normals, boxes)]
+    # in the order of the triangles
+    return Triangles(_square_rods(sides[np.union1d(first[sharp], np.array(kept, int))], radius))
 
 
 def _is_rim(
@@ -189,9 +186,10 @@ def _is_rim(
     beyond = ends.mean(axis=0) + 1e-3 * np.cross(along, normal)
     apart = 1e-4 * np.linalg.norm(along)
     slack = apart / _SHARP  # along `normal`
-    held = np.arange(len(corners))
+    held: Any = np.s_[:]
     for low, high, place in zip(*boxes, beyond, strict=True):
-        held = held[(low[held] <= place + slack) & (place - slack <= high[held])]
+        inside = np.flatnonzero((low[held] <= place + slack) & (place - slack <= high[held]))
+        held = inside if isinstance(held, slice) else held[inside]
     corners, normals = corners[held], normals[held]
     level = np.abs(np.einsum("ij,ij->i", beyond - corners[:, 0], normals))
     near = corners[(normals @ normal > _SHARP) & (level < apart)]
@@ -199,17 +197,18 @@ def _is_rim(
     return not bool((sides >= 0).all(axis=1).any())
 
 
-def _rod(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:
-    """A square rod between two points, in triangles."""
-    along = (end - start) / np.linalg.norm(end - start)
-    aside = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
-    aside *= radius / np.linalg.norm(aside)
+def _square_rods(ends: np.ndarray, radius: float) -> np.ndarray:
+    """Square rods between pairs of points, shape (n, 2, 3), in triangles."""
+    start, end = ends[:, 0], ends[:, 1]
+    along = (end - start) / np.linalg.norm(end - start, axis=1)[:, None]
+    aside = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=1)])
+    aside *= radius / np.linalg.norm(aside, axis=1)[:, None]
     other = np.cross(along, aside)
-    ring, rod = [aside, other, -aside, -other], []
+    ring, rods = [aside, other, -aside, -other], []
     for side, next_side in zip(ring, ring[1:] + ring[:1], strict=True):
-        rod.append((start + side, end + side, end + next_side))
-        rod.append((start + side, end + next_side, start + next_side))
-    return np.array(rod)
+        rods += [start + side, end + side, end + next_side]
+        rods += [start + side, end + next_side, start + next_side]
+    return np.stack(rods, axis=1).reshape(-1, 3, 3)
 
 
 # The parts of a bench as they are photographed: volumes, masks, detectors, reflectors.
@@ -274,15 +273,18 @@ class PhotographedBench:
         self._model, self._indices = model, indices
         self._faces = list(zip(model.surfaces, triangles, strict=True))
         self._volumes = range(1, len(model.volumes))
+        # alike in both pictures
+        self._masks = [self._mask(*face) for face in self._faces]
+        self._rods = {
+            number: _rods([shape for _, shape in self._enclosing(number)], _shade(number))
+            for number in self._volumes
+            if not self._is_air(number)
+        }
 
     def assembled(self) -> tuple[Body, ...]:
         """The bench as it stands: every face once, with the light of both its sides."""
-        bodies: list[Body] = []
-        for number in self._volumes:
-            if not self._is_air(number):
-                faces = [shape for _, shape in self._enclosing(number)]
-                bodies += _rods(faces, _shade(number))
-        for surface, shape in self._faces:
+        bodies = [rods for of_volume in self._rods.values() for rods in of_volume]
+        for (surface, shape), mask in zip(self._faces, self._masks, strict=True):
             if surface.seen.kind == DIELECTRIC:
                 inner, outer = map(self._tint, surface.sides)
                 tint = (inner[0] * outer[0], inner[1] * outer[1], inner[2] * outer[2])
@@ -292,7 +294,7 @@ class PhotographedBench:
                 bodies.append(Body(shape, _opaque(surface.seen)))
                 if surface.seen.kind == DIFFUSE:
                     bodies += _rods([shape], GREY)
-            bodies += self._mask(surface, shape)
+            bodies += mask
         return tuple(bodies)
 
     def parts(self) -> list[BenchPart]:
@@ -300,8 +302,7 @@ class PhotographedBench:
         parts = [self._volume(number) for number in self._volumes]
         masks: dict[tuple[float, tuple[float, float], int], list[Body]] = {}
         faces: dict[tuple[object, ...], list[tuple[Surface, Triangles]]] = {}
-        for surface, shape in self._faces:
-            mask = self._mask(surface, shape)
+        for (surface, shape), mask in zip(self._faces, self._masks, strict=True):
             if mask:
                 level = round(float(shape.corners[:, :, 2].mean()) / (1e-4 * self._model.size_mm))
                 hole = (surface.aperture_radius_mm, surface.axis_mm, level)
@@ -344,7 +345,7 @@ class PhotographedBench:
                 rim = plate and np.ptp(shape.corners[..., :2], axis=(0, 1)).min() < 1e-6
                 rough = max(surface.roughness, 0.3 * surface.hazy_part, _GROUND_RIM * rim)
                 bodies.append(Body(shape, Finish(GLASS, self._tint(number), index or 1.5, rough)))
-            bodies += _rods(faces, _shade(number))
+            bodies += self._rods[number]
         return BenchPart(volume.name, tuple(details), tuple(bodies), points)
 
     def _enclosing(self, number: int) -> list[tuple[Surface, Triangles]]:
@@ -407,7 +408,7 @@ def _opaque(surface: Surface) -> Finish:
 
 def _rods(shapes: Sequence[Triangles], shade: Colour) -> list[Body]:
     """Dark lines along the edges of a part, in this colour."""
-    size = np.sort(np.ptp(_points(shapes), axis=0))
+    size = np.sort(np.ptp(np.concatenate([s.corners for s in shapes]), axis=(0, 1)))
     rods = edges(shapes, min(_ROD * size[2], size[0] / 3 or np.inf))
     return [Body(rods, Finish(MATTE, shade))] if len(rods.corners) else []
 
@@ -422,21 +423,18 @@ def _outside_circle(triangles: np.ndarray, centre: tuple[float, float], radius: 
     """What of horizontal triangles lies outside a circle, in triangles: shape (n, 3, 3)."""
     angles = np.linspace(0.0, 2.0 * np.pi, _SECTORS + 1)
     outside = []
-    for triangle in triangles:
-        if np.linalg.norm(triangle[:, :2] - centre, axis=1).max() <= radius:
-            continue
-        for a, b in pairwise(angles):
-            middle = (a + b) / 2
+    x, y, middle = np.cos(angles), np.sin(angles), (angles[:-1] + angles[1:]) / 2
+    # of each sector: beyond its first ray, before its second, beyond the chord between them
+    across = [[-y[:-1], x[:-1]], [y[1:], -x[1:]], [np.cos(middle), np.sin(middle)]]
+    normals: np.ndarray = np.moveaxis(np.array(across), 2, 0)
+    offsets = np.array([0.0, 0.0, radius * np.cos(np.pi / _SECTORS)])
+    far = np.linalg.norm(triangles[..., :2] - centre, axis=2).max(axis=1) > radius
+    for triangle in triangles[far]:
+        beyond = normals @ (triangle[:, :2] - centre).T - offsets[:, None]
+        for number in np.flatnonzero((beyond > 0).any(axis=2).all(axis=1)):
             polygon = triangle
-            # beyond the first ray, before the second, beyond the chord between them
-            for normal, offset in (
-                ((-np.sin(a), np.cos(a)), 0.0),
-                ((np.sin(b), -np.cos(b)), 0.0),
-                ((np.cos(middle), np.sin(middle)), radius * np.cos((b - a) / 2)),
-            ):
+            for normal, offset in zip(normals[number], offsets, strict=True):
                 polygon = _clipped(polygon, (polygon[:, :2] - centre) @ normal - offset)
-                if len(polygon) < 3:
-                    break
             outside += [polygon[[0, i, i + 1]] for i in range(1, len(polygon) - 1)]
     return np.array(outside).reshape(-1, 3, 3)
 
@@ -455,7 +453,9 @@ def _clipped(polygon: np.ndarray, distance: np.ndarray) -> np.ndarray:
 
 def _points(shapes: Iterable[Triangles]) -> np.ndarray:
     """All different corners of some triangles, shape (n, 3)."""
-    return np.unique(np.concatenate([s.corners.reshape(-1, 3) for s in shapes]), axis=0)
+    points = np.concatenate([s.corners.reshape(-1, 3) for s in shapes])
+    points = points[np.lexsort(points.T[::-1])]  # which `unique` sorts slowly
+    return points[np.append(True, (points[1:] != points[:-1]).any(axis=1))]
 
 
 def exploded(parts: Sequence[BenchPart], spacing: float) -> list[float]:

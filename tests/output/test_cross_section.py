@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from matplotlib import _pylab_helpers
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 from places import SCENES, cases_of, tables_of
 from refusals import refusal
@@ -63,6 +64,12 @@ def load(tmp_path_factory):
         return simulation, faces, cross_section(simulation.model, middle)
 
     return loaded
+
+
+@pytest.fixture(scope="module")
+def drawn(load):
+    """A function that draws a case once, in full; to write its figure changes nothing."""
+    return functools.cache(lambda case: cross_section_figure(*load(case)[:2]))
 
 
 def traces_of(simulation, cut, surface: str):
@@ -138,10 +145,10 @@ def test_wrapping_is_hatched_on_the_side_away_from_the_crystal(load):
         assert (trace.points.mean(axis=0) - (0, 5)) @ trace.back > 4.9
 
 
-def test_volumes_whose_faces_contradict_are_left_empty(load, tmp_path):
-    simulation, faces, cut = load("open")
+def test_volumes_whose_faces_contradict_are_left_empty(load, drawn, tmp_path):
+    simulation, _, cut = load("open")
     assert cut.area(simulation.crystal.volume) == 0
-    write_cross_section(cross_section_figure(simulation, faces), tmp_path / "open.png")
+    write_cross_section(drawn("open"), tmp_path / "open.png")
     assert (tmp_path / "open.png").stat().st_size > 20_000
 
 
@@ -150,9 +157,8 @@ WORDS = TABLES["words"]
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_everything_is_named_to_scale_and_nothing_overlaps(case, load):
-    simulation, faces, _ = load(case)
-    figure = cross_section_figure(simulation, faces)
+def test_everything_is_named_to_scale_and_nothing_overlaps(case, load, drawn):
+    simulation, figure = load(case)[0], drawn(case)
     assert len(figure.axes) == 2
     for ax, words in zip(figure.axes, WORDS[case], strict=True):
         x_scale, z_scale = np.diff(ax.transData.transform([(0, 0), (1, 1)]), axis=0)[0]
@@ -191,11 +197,11 @@ def test_what_effects_add_to_faces_is_drawn_and_named(tmp_path):
         assert words in "\n".join(text.get_text() for text in figure.axes[0].texts)
 
 
-def test_a_cylinder_that_lies_is_cut_across_its_axis_too(load):
-    simulation, faces, _ = load("camoo4_cylinder_lying.xml")
+def test_a_cylinder_that_lies_is_cut_across_its_axis_too(load, drawn):
+    simulation, _, _ = load("camoo4_cylinder_lying.xml")
     across = cross_section(simulation.model, 0.0, normal=0)
     assert across.area(simulation.crystal.volume) == pytest.approx(25 * np.pi, rel=2e-3)
-    panels = cross_section_figure(simulation, faces).axes
+    panels = drawn("camoo4_cylinder_lying.xml").axes
     (title,) = (ax.get_title(loc="left") for ax in panels if ax.get_xlabel() == "y (mm)")
     assert title.startswith("Vertical plane x = 0 mm")
 
@@ -228,8 +234,8 @@ def test_what_is_wrong_with_a_scene_is_red(tmp_path, mcrim):
         if drawn:
             assert "gap_mm" not in values or "gap_mm=0.07" in texts  # what is right is drawn
             assert "here" in [text.get_text() for text in figure.axes[0].texts]
-        write_cross_section(figure, tmp_path / "wrong.png")
-        pixels = np.rint(255 * imread(tmp_path / "wrong.png")[:, :, :3]).astype(int)
+        figure.canvas.draw()
+        pixels = np.asarray(figure.canvas.buffer_rgba())[:, :, :3]
         assert (pixels == red).all(axis=2).sum() > (2000 if drawn else 300)
     # the command says what is wrong, and fails, as without a picture
     status, _, said = mcrim("check", str(path), "-o", str(tmp_path / "drawn.png"))
@@ -247,9 +253,8 @@ def test_what_mirrors_and_what_is_black_is_called_so():
     assert said == ["diffuse reflector", "mirror", "black surface"]
 
 
-def test_detail_shows_the_gap_at_the_crystals_lower_edge(load):
-    simulation, faces, _ = load("camoo4")
-    main, detail = cross_section_figure(simulation, faces).axes
+def test_detail_shows_the_gap_at_the_crystals_lower_edge(drawn):
+    main, detail = drawn("camoo4").axes
     (x0, x1), (z0, z1) = detail.get_xlim(), detail.get_ylim()
     assert x0 < 5 < x1
     assert z0 < -0.05 < 0 < z1
@@ -271,10 +276,9 @@ def test_a_side_that_leans_is_straight_at_the_enlarged_edge(load):
     assert x_mm[side] == pytest.approx(5.0 - 0.2 * z_mm[side], abs=2e-3)
 
 
-def test_png_holds_the_volumes_in_colours_that_differ_in_grey(load, tmp_path):
-    simulation, faces, _ = load("camoo4")
+def test_png_holds_the_volumes_in_colours_that_differ_in_grey(drawn, tmp_path):
     path = tmp_path / "bench.PNG"
-    write_cross_section(cross_section_figure(simulation, faces), path)
+    write_cross_section(drawn("camoo4"), path)
     header = path.read_bytes()[:24]
     assert header[:8] == b"\x89PNG\r\n\x1a\n"
     assert struct.unpack(">I", header[16:20])[0] == 1800
@@ -288,9 +292,8 @@ def test_png_holds_the_volumes_in_colours_that_differ_in_grey(load, tmp_path):
     assert not _pylab_helpers.Gcf.figs
 
 
-def test_svg_and_pdf_are_sound(load, tmp_path):
-    simulation, faces, _ = load("camoo4")
-    figure = cross_section_figure(simulation, faces)
+def test_svg_and_pdf_are_sound(drawn, tmp_path):
+    figure = drawn("camoo4")
     write_cross_section(figure, tmp_path / "bench.pdf")
     assert (tmp_path / "bench.pdf").read_bytes().startswith(b"%PDF")
     write_cross_section(figure, tmp_path / "bench.svg")
@@ -300,10 +303,9 @@ def test_svg_and_pdf_are_sound(load, tmp_path):
 
 
 @cases("name", "words")
-def test_refusals_name_the_file_and_say_how_to_mend_it(name, words, load, tmp_path):
-    simulation, faces, _ = load("camoo4")
+def test_refusals_name_the_file_and_say_how_to_mend_it(name, words, tmp_path):
     (tmp_path / "folder.png").mkdir()
-    line = refusal(write_cross_section, cross_section_figure(simulation, faces), tmp_path / name)
+    line = refusal(write_cross_section, Figure(), tmp_path / name)
     assert str(tmp_path / name) in line
     assert [word for word in words if word not in line] == []
     assert [entry.name for entry in tmp_path.iterdir()] == ["folder.png"]
