@@ -34,6 +34,7 @@ from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.efficiency.simulate import collect
+from mcrim_mitsuba.inference import diagnose
 from mcrim_mitsuba.inference.corrections import Quantities
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.laboratory.error_budget import Uncertain
@@ -65,10 +66,11 @@ ETA_REFERENCE = {
 
 @pytest.fixture(scope="module")
 def result():
-    """With one explanation of the transmittance: the golden results have all."""
+    """With one explanation of the transmittance, and no advice: the golden results have all."""
     few = partial(contradiction.diagnose, only=("top_roughness",))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(contradiction, "diagnose", few)
+        patch.setattr(diagnose, "next_measurements", lambda *_: ())
         return reproduce_article(run=Run(2_000_000, seed=2))
 
 

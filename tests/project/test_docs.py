@@ -234,19 +234,37 @@ def test_every_page_of_the_docs_is_in_the_contents():
     assert pages <= set(contents.split())
 
 
-def run(name: str, numbers: str) -> tuple[dict, str]:
-    """Numbers that a notebook ends with, a Python expression each, and all that it said."""
-    notebook = nbformat.read(ROOT / "docs" / f"{name}.ipynb", 4)
-    assert not any(cell.get("outputs") for cell in notebook.cells), "keep it without outputs"
-    notebook.cells.append(nbformat.v4.new_code_cell(f"import json\nprint(json.dumps({numbers}))"))
-    nbclient.NotebookClient(
-        notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": ROOT}}
-    ).execute()
-    *cells, last = (cell.outputs for cell in notebook.cells if cell.cell_type == "code")
-    return json.loads(last[0].text), str(cells)
+@pytest.fixture(scope="module")
+def run(kept_records):
+    """Runs a notebook: numbers that it ends with, a Python expression each, and all that it said.
+
+    With a cache, as users have one, and all in one process, where each finds no other's names.
+    """
+    empty = nbformat.v4.new_notebook()
+    client = nbclient.NotebookClient(
+        empty, timeout=600, kernel_name="python3", resources={"metadata": {"path": ROOT}}
+    )
+
+    def run(name: str, numbers: str) -> tuple[dict, str]:
+        notebook = nbformat.read(ROOT / "docs" / f"{name}.ipynb", 4)
+        assert not any(cell.get("outputs") for cell in notebook.cells), "keep it without outputs"
+        for place, code in (
+            (0, f"%reset -f\n%cd -q {ROOT}"),
+            (len(notebook.cells) + 1, f"import json\nprint(json.dumps({numbers}))"),
+        ):
+            notebook.cells.insert(place, nbformat.v4.new_code_cell(code))
+        client.nb = notebook
+        client.reset_execution_trackers()
+        for place, cell in enumerate(notebook.cells):
+            client.execute_cell(cell, place)
+        *cells, last = (cell.outputs for cell in notebook.cells if cell.cell_type == "code")
+        return json.loads(last[0].text), str(cells)
+
+    with client.setup_kernel():
+        yield run
 
 
-def test_the_notebook_of_the_optics_staff():
+def test_the_notebook_of_the_optics_staff(run):
     found, said = run("optics_staff", "[light.eta, mirror.eta]")
     assert found == pytest.approx([0.319, 0.361], abs=0.004)
     # of what is wrong a notebook shows one line
@@ -255,7 +273,7 @@ def test_the_notebook_of_the_optics_staff():
     assert said.count("image/png") == 4
 
 
-def test_the_notebook_of_the_analyst():
+def test_the_notebook_of_the_analyst(run):
     names = "bubble_fraction", "light_yield_ph_per_keV"
     values = ", ".join(f"repaired.{name}.value" for name in names)
     ratio = "float(ratio.interp(alpha_scat_per_cm=0.54, alpha_abs_per_cm=0.039))"
@@ -270,7 +288,7 @@ def test_the_notebook_of_the_analyst():
     assert said.count("image/png") == 5
 
 
-def test_the_notebook_of_the_planner():
+def test_the_notebook_of_the_planner(run):
     found, said = run(
         "planner",
         "[doubt.leading, averaged.sigma / best['sigma'],"

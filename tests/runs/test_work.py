@@ -10,7 +10,9 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -172,10 +174,18 @@ EFFECT = Effect(name="own", title="own", physics="None.", source="None.", edit=l
 """
 
 
-@pytest.mark.parametrize(
-    "edited", ["bench.xml", "parameters.xml", "readings.csv", "second.toml", "own/own.py"]
-)
-def test_parts_of_files_that_were_edited_are_not_merged(scenes, here, mcrim, edited):
+@contextmanager
+def edited(name: str) -> Iterator[str]:
+    """A file with a remark more, which goes again: what is said of it where parts were made."""
+    text = Path(name).read_text()
+    remark = "<!-- edited -->\n" if name.endswith(".xml") else "# edited\n"
+    hashes = [hashlib.sha256(f"{text}{end}".encode()).hexdigest()[:12] for end in ("", remark)]
+    Path(name).write_text(f"{text}{remark}")
+    yield f"{name} (SHA-256 {hashes[0]}; here is {hashes[1]})"
+    Path(name).write_text(text)
+
+
+def test_parts_of_files_that_were_edited_are_not_merged(scenes, here, mcrim):
     """Whatever the command reads: it would be another bench, or other readings."""
     scene = (scenes / "camoo4.xml").read_text()
     Path("parameters.xml").write_text("<scene version='3.0.0'>\n</scene>\n")
@@ -190,19 +200,13 @@ def test_parts_of_files_that_were_edited_are_not_merged(scenes, here, mcrim, edi
     Path("first.toml").write_text('effects_folder = "own"\n' + campaign)
     Path("second.toml").write_text(campaign)
     line = "compare first.toml second.toml --trust-effects --photons 16384 --json found.json"
-    mcrim(*line.split(), "--unit", "1/2")
-    text = Path(edited).read_text()
-    remark = "<!-- edited -->\n" if edited.endswith(".xml") else "# edited\n"
-    Path(edited).write_text(f"{text}{remark}")
-    hashes = [hashlib.sha256(f"{text}{end}".encode()).hexdigest()[:12] for end in ("", remark)]
-    problem = f"{edited} (SHA-256 {hashes[0]}; here is {hashes[1]})"
-    assert problem in mcrim.refused(*line.split(), "--unit", "2/2")
-    Path(edited).write_text(text)
-    mcrim(*line.split(), "--unit", "2/2")
-    Path(edited).write_text(f"{text}{remark}")
-    assert problem in mcrim.refused("merge")
-    assert not Path("found.json").exists()
-    Path(edited).write_text(text)
+    files = ["bench.xml", "parameters.xml", "readings.csv", "second.toml", "own/own.py"]
+    for part, refused in (("1/2", [*line.split(), "--unit", "2/2"]), ("2/2", ["merge"])):
+        mcrim(*line.split(), "--unit", part)
+        for name in files:
+            with edited(name) as problem:
+                assert problem in mcrim.refused(*refused)
+                assert not Path("found.json").exists()
     mcrim("merge")
     assert Path("found.json").exists()
 

@@ -45,18 +45,12 @@ def eta_line(text: str) -> str:
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_a_command_on_a_batch_system(system, scenes, tmp_path):
+def test_a_command_on_a_batch_system(system, scenes, tmp_path, mcrim):
     submit, content, cancel = SYSTEMS[system]
     for name, text in ((submit, content), (cancel, CANCEL)):
         (tmp_path / name).write_text(text)
         (tmp_path / name).chmod(0o755)
     fake = {"FAKE": str(tmp_path), "PATH": f"{tmp_path}:{os.environ['PATH']}"}
-    plain = subprocess.run(
-        [sys.executable, "-m", "mcrim_mitsuba", *SIMULATE, str(scenes / "camoo4.xml")],
-        capture_output=True,
-        text=True,
-        env=os.environ,  # without the width that readline, if pytest loads it, adds to ours
-    )
     done = run(
         system,
         *"--jobs 1 --cores 1 --memory 2GB --".split(),
@@ -66,7 +60,7 @@ def test_a_command_on_a_batch_system(system, scenes, tmp_path):
     )
     log = tmp_path / "job.out"
     assert done.returncode == 0, done.stderr + (log.read_text() if log.exists() else "no job")
-    assert eta_line(done.stdout) == eta_line(plain.stdout)
+    assert eta_line(done.stdout) == eta_line(mcrim.shown(*SIMULATE, scenes / "camoo4.xml"))
 
 
 def test_without_a_batch_system_one_line(scenes):
