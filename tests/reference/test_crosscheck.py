@@ -29,7 +29,7 @@ def test_mitsuba_equals_the_independent_tracer(scenes):
     benches = [(scenes / f"{scene}.xml", change) for scene, change in BENCHES]
     benches += [(path, {}) for path in TRIALS]
     for number, (path, change) in enumerate(benches):
-        found = crosscheck(path, change, run=Run(40_000, seed=100 + number))
+        found = crosscheck(path, change, run=Run(40_000, seed=100 + number, check=False))
         for row in found.rows:
             if row.z is not None:
                 scores[(path.stem, *change.items(), row.quantity)] = row.z
