@@ -93,20 +93,16 @@ def trace_crossings(model: SceneModel, origin, direction) -> Crossings:
     """All crossings of the lines, exactly for flat faces, by Mitsuba's intersection otherwise."""
     if model.faces is None:
         return _through_any_shapes(model, origin, direction)
-    distance = np.full((len(origin), len(model.faces) + 2 * len(model.walls)), np.inf)
+    # numbers that are used together lie together
+    distance = np.full((len(model.faces) + 2 * len(model.walls), len(origin)), np.inf)
     behind = np.zeros(distance.shape, dtype=bool)
     ambiguous = np.zeros(len(origin), dtype=bool)
-    # numbers that are used together lie together
     starts, ways = np.ascontiguousarray(origin.T), np.ascontiguousarray(direction.T)
     for number, face in enumerate(model.faces):
-        towards = direction @ face.normal
-        behind[:, number] = towards > 0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = (face.corner @ face.normal - origin @ face.normal) / towards
-            margin = face.margin((starts + t * ways).T)
+        t, margin, behind[number] = face.meeting(starts, ways)
         rim = RIM * model.size_mm / min(np.linalg.norm(face.edge_u), np.linalg.norm(face.edge_v))
         ambiguous |= np.abs(margin) <= rim
-        distance[:, number] = np.where((margin > 0) & (t > 0), t, np.inf)
+        distance[number] = np.where((margin > 0) & (t > 0), t, np.inf)
     width = RIM * model.size_mm
     for number, (wall, sign) in enumerate(itertools.product(model.walls, (-1.0, 1.0))):
         column, circle = len(model.faces) + number, wall.circle
@@ -118,14 +114,13 @@ def trace_crossings(model: SceneModel, origin, direction) -> Crossings:
             margin = wall.margin(origin + t[:, None] * direction)
             nearest = np.sqrt(np.maximum(c + circle.radius_mm**2 - b * b / a, 0.0))
         ambiguous |= (np.abs(margin) <= width) | (np.abs(nearest - circle.radius_mm) <= width)
-        distance[:, column] = np.where((margin > 0) & (t > 0), t, np.inf)
-        behind[:, column] = (sign > 0) == wall.outwards
+        distance[column] = np.where((margin > 0) & (t > 0), t, np.inf)
+        behind[column] = (sign > 0) == wall.outwards
     origin, direction = origin[~ambiguous], direction[~ambiguous]
-    distance, behind = distance[~ambiguous], behind[~ambiguous]
-    order = np.argsort(distance, axis=1, kind="stable")
-    distance = np.take_along_axis(distance, order, axis=1)
+    distance, behind = distance.T[~ambiguous], behind.T[~ambiguous]
     most = max(int(np.isfinite(distance).sum(axis=1).max()), 1)
-    distance, order = distance[:, :most], order[:, :most]
+    order = np.argsort(distance, axis=1, kind="stable")[:, :most]
+    distance = np.take_along_axis(distance, order, axis=1)
     walls = [wall.surface for wall in model.walls for _ in range(2)]
     surface_of = np.array([face.surface for face in model.faces] + walls)
     surface = np.where(np.isfinite(distance), surface_of[order], -1)
