@@ -79,7 +79,9 @@ def crosscheck(
     from mcrim_mitsuba.reference.scene_bench import read_bench
     from mcrim_mitsuba.reference.tracer import trace
 
-    simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
+    simulation = Simulation(
+        scene, overrides, variant=run.variant, threads=run.threads, check=run.check
+    )
     bench, photons = read_bench(simulation.file), run.photons_or(1_000_000)
     ours = simulation.collect(
         4 * photons,

@@ -79,7 +79,7 @@ def test_an_effect_is_read_from_the_scene_of_the_bench_and_of_the_beam(name, sce
     bench = read_scene(scenes / "camoo4.xml")
     bench = bench.edited(add(name, bench))
     for scene in (bench, spectrophotometer_of(bench)):
-        assert crosscheck(scene, run=Run(10_000, seed=6)).agrees
+        assert crosscheck(scene, run=Run(10_000, seed=6, check=False)).agrees
 
 
 ROUGH = '<float name="roughness_alpha"'
