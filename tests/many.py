@@ -95,10 +95,16 @@ def amplitudes(cos_in, n_in, n_out):
     return Amplitudes(*np.array(found, complex).T)
 
 
-unpolarised_reflectance = np.vectorize(
-    lambda cosine, n_in, n_out: interface.unpolarised_reflectance(float(cosine), n_in, n_out),
-    otypes=[float],
-)
+@compiled
+def _reflectances(cosine, n_in, n_out, out):
+    for i in range(len(out)):
+        out[i] = interface.unpolarised_reflectance(cosine[i], n_in, n_out)
+
+
+def unpolarised_reflectance(cosine, n_in, n_out):
+    out = np.empty(len(cosine))
+    _reflectances(np.ascontiguousarray(cosine, float), float(n_in), float(n_out), out)
+    return out
 
 
 @compiled
