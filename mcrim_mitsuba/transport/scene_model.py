@@ -270,7 +270,8 @@ class FlatFace:
     def margin(self, points: np.ndarray) -> np.ndarray:
         """How far inside points of its plane, shape (n, 3), lie, in parts of its edges."""
         a, b = self._dual @ (points - self.corner).T
-        return self._inside(a, b, points)
+        inside = self._inside(a, b)
+        return inside if self.circle is None else np.minimum(inside, self.circle.margin(points))
 
     def meeting(self, starts: np.ndarray, ways: np.ndarray) -> tuple[np.ndarray, ...]:
         """How far along lines, shape (3, n), its plane is, mm; `margin` there; if met from inside.
@@ -282,17 +283,18 @@ class FlatFace:
         along_u, along_v, towards = own @ ways
         with np.errstate(divide="ignore", invalid="ignore"):
             t = -above / towards
-            points = starts[:, :0].T if self.circle is None else (starts + t * ways).T
-            return t, self._inside(a + t * along_u, b + t * along_v, points), towards > 0
+            inside = self._inside(a + t * along_u, b + t * along_v)
+            if self.circle is not None:
+                inside = np.minimum(inside, self.circle.margin((starts + t * ways).T))
+        return t, inside, towards > 0
 
     @property
     def _dual(self) -> np.ndarray:
         """What, times a vector of its plane, gives its parts of the two edges, shape (2, 3)."""
         return np.linalg.inv(np.column_stack([self.edge_u, self.edge_v, self.normal]))[:2]
 
-    def _inside(self, a: np.ndarray, b: np.ndarray, points: np.ndarray) -> np.ndarray:
-        inside = np.minimum(np.minimum(a, b), 1 - a - b if self.triangle else 1 - np.maximum(a, b))
-        return inside if self.circle is None else np.minimum(inside, self.circle.margin(points))
+    def _inside(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.minimum(np.minimum(a, b), 1 - a - b if self.triangle else 1 - np.maximum(a, b))
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,6 +57,14 @@ def test_the_crosscheck_can_fail(scenes, monkeypatch):
     assert not crosscheck(scenes / "camoo4.xml", run=Run(150_000, seed=1)).agrees
 
 
+def test_a_scene_that_shall_not_be_checked_is_not(scenes):
+    """It was, whatever the run said: here a gap that looks like micrometres."""
+    run = Run(1000, seed=2, check=False)
+    assert crosscheck(scenes / "camoo4.xml", {"gap_mm": 50.0}, run=run).rows
+    with pytest.raises(InputError, match="micrometres"):
+        crosscheck(scenes / "camoo4.xml", {"gap_mm": 50.0}, run=Run(1000))
+
+
 def test_a_part_that_the_tracer_does_not_know_is_named(scenes, tmp_path):
     """A plate of plastic beside the crystal, which Mitsuba's own plugin knows."""
     plate = """<shape type="sphere" id="pearl"><point name="center" x="9" y="0" z="5"/>
