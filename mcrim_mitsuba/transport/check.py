@@ -39,9 +39,6 @@ if TYPE_CHECKING:
 
 #: Photons that look for the detector.
 SCOUTS = 200_000
-#: Their flights in a crystal that does not scatter: what total reflection has kept until then it
-#: keeps for good.
-CLEAR_FLIGHTS = 500
 #: Mitsuba moves a new ray off its surface by this times (1 + largest coordinate); measured.
 RAY_OFFSET = 8.94e-5
 #: A gap must be this many offsets wide, or rays start beyond its other side.
@@ -179,10 +176,7 @@ def _overlap(first: FlatFace, second: FlatFace) -> bool:
 def _problems_of_detector(simulation: Simulation) -> list[SceneProblem]:
     """A detector that no light reaches, or light that is lost on the way."""
     try:
-        limit, scatters = simulation.depth_limit, simulation.crystal.scatters
-        result = simulation.collect(
-            SCOUTS, max_depth=limit if scatters else min(limit, CLEAR_FLIGHTS)
-        )
+        result = simulation.collect(SCOUTS)
     except InputError as error:
         return [SceneProblem("leak", error.problem, error.mend, simulation.file.path)]
     if result.budget["detected"] > 0:
