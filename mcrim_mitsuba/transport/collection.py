@@ -248,32 +248,16 @@ FLIGHTS_KEPT = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Trail:
-    """A photon's way."""
-
-    #: As in `results.SimulationResult.budget`.
-    fate: str
-    #: ndarray of float64, shape (n + 1, 3): Where its flights begin, and where the last one ends,
-    #: mm; without that end where it made more flights than are kept.
-    points: np.ndarray
-    #: ndarray of int, shape (n,) or (n + 1,): The volume, among ``model.volumes``, that each flight
-    #: goes through.
-    volumes: np.ndarray
-    #: All of them, also those that are not kept.
-    flights: int
-    #: ndarray of float64, shape (3,): Of the last flight.
-    direction: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Trails:
     """Trails of independent photons, each with one fate."""
 
-    #: ndarray of str, shape (photons,)
+    #: ndarray of str, shape (photons,): as in `results.SimulationResult.budget`.
     fates: np.ndarray
-    #: ndarray of int, shape (photons,)
+    #: ndarray of int, shape (photons,): all of them, also those that are not kept.
     flights: np.ndarray
-    _starts: np.ndarray
+    #: ndarray of float64, shape (photons, FLIGHTS_KEPT, 4): Where flights begin, mm, and the
+    #: number, among ``model.volumes``, of the volume that each goes through; then anything.
+    starts: np.ndarray
     _ends: np.ndarray
     _directions: np.ndarray
 
@@ -284,22 +268,13 @@ class Trails:
         parts = (counts / len(self.fates)).tolist()
         return dict(zip(names.tolist(), parts, strict=True))
 
-    def trail(self, number: int) -> Trail:
-        """That of one photon."""
-        starts, flights = self._starts[number], int(self.flights[number])
-        starts = starts[:flights]
-        points = starts[:, :3]
-        if len(starts) == flights:
-            points = np.vstack([points, self._ends[number]])
-        volumes, direction = starts[:, 3].astype(int), self._directions[number]
-        return Trail(str(self.fates[number]), points, volumes, flights, direction)
-
     def ways(self, most: int, away_mm: float) -> np.ndarray:
         """Points (mm) of all trails, of `most` flights at most: (photons, most + 1, 3), then NaN.
 
-        An escaping photon's last flight, which has no end, goes on for `away_mm`.
+        An escaping photon's last flight, which has no end, goes on for `away_mm`; `most` is less
+        than `FLIGHTS_KEPT`.
         """
-        points = self._starts[:, : most + 1, :3].copy()
+        points = self.starts[:, : most + 1, :3].copy()
         points[np.arange(most + 1) >= self.flights[:, None]] = np.nan
         whole = np.flatnonzero(self.flights <= most)
         away = np.where(self.fates == "escaped", away_mm, 0.0)[whole, None]

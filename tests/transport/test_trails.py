@@ -28,13 +28,15 @@ BOXES = {
     "window": ((-14, -14, -1.05), (14, 14, -0.05)),
 }
 ROUNDING = 1e-4
+KEPT = FLIGHTS_KEPT - 1
 
 
 @pytest.fixture(scope="module", params=CASES)
 def followed(request, scenes):
     scene, overrides = CASES[request.param]
     simulation = Simulation(scenes / scene, overrides, check=False)
-    return simulation, follow_trails(simulation, PHOTONS, seed=5)
+    trails = follow_trails(simulation, PHOTONS, seed=5)
+    return simulation, trails, trails.ways(KEPT, 0.0)
 
 
 def inside(points, name: str, slack: float):
@@ -43,13 +45,10 @@ def inside(points, name: str, slack: float):
 
 
 def test_trails_end_where_their_fate_says(followed):
-    _, trails = followed
-    ends: dict[str, list] = {}
-    for number in range(PHOTONS):
-        trail = trails.trail(number)
-        if len(trail.volumes) == trail.flights:
-            ends.setdefault(trail.fate, []).append(trail.points[-1])
-    ends = {fate: np.array(points) for fate, points in ends.items()}
+    _, trails, points = followed
+    whole = np.flatnonzero(trails.flights <= KEPT)
+    last = points[whole, trails.flights[whole]]
+    ends = {fate: last[trails.fates[whole] == fate] for fate in trails.shares}
     assert np.abs(ends["detected"][:, 2] + 1.05).max() < ROUNDING
     assert np.abs(ends["detected"][:, :2]).max() < 14 + ROUNDING
     assert inside(ends["absorbed_crystal"], "crystal", ROUNDING).all()
@@ -64,29 +63,26 @@ def test_trails_end_where_their_fate_says(followed):
 
 
 def test_each_flight_stays_in_its_volume(followed):
-    simulation, trails = followed
-    names = simulation.model.volume_names
-    for number in range(2000):
-        trail = trails.trail(number)
-        begin, end = trail.points[:-1], trail.points[1:]
-        volumes = trail.volumes[: len(begin)]
-        for volume in set(volumes):
-            mine = volumes == volume
-            if volume:  # boxes are convex
-                assert inside(begin[mine], names[volume], ROUNDING).all()
-                assert inside(end[mine], names[volume], ROUNDING).all()
-            else:
-                between = begin[mine] + 0.5 * (end - begin)[mine]
-                far = np.linalg.norm((end - begin)[mine], axis=1) > 10 * ROUNDING
-                assert not any(inside(between[far], name, -ROUNDING).any() for name in BOXES)
-        if len(trail.volumes) == trail.flights:
-            assert len(volumes) == trail.flights
-            assert trail.fate != "escaped" or volumes[-1] == 0
+    simulation, trails, points = followed
+    there = np.isfinite(points[:, 1:, 0])
+    begin, end = points[:, :-1][there], points[:, 1:][there]
+    volumes = trails.starts[:, :KEPT, 3][there]
+    for volume, name in enumerate(simulation.model.volume_names):
+        mine = volumes == volume
+        if volume:  # boxes are convex
+            assert mine.any() and inside(begin[mine], name, ROUNDING).all()
+            assert inside(end[mine], name, ROUNDING).all()
+        else:
+            between = begin[mine] + 0.5 * (end - begin)[mine]
+            far = np.linalg.norm((end - begin)[mine], axis=1) > 10 * ROUNDING
+            assert not any(inside(between[far], name, -ROUNDING).any() for name in BOXES)
+    out = np.flatnonzero((trails.fates == "escaped") & (trails.flights <= KEPT))
+    assert len(out) and not trails.starts[out, trails.flights[out] - 1, 3].any()
 
 
 def test_shares_are_those_of_the_simulation(followed):
     """9 comparisons at z = 4: false alarms 6e-4 (births are more even than independent ones)."""
-    simulation, trails = followed
+    simulation, trails, _ = followed
     known = simulation.collect(2_000_000, seed=9)
     assert set(trails.shares) <= set(known.budget)
     for fate, expected in known.budget.items():
@@ -96,14 +92,11 @@ def test_shares_are_those_of_the_simulation(followed):
 
 def test_light_is_absorbed_in_proportion_to_its_path(followed):
     """Absorptions in the crystal against alpha times the path there; z = 4: 1.3e-4 in two."""
-    simulation, trails = followed
-    volume, kept = simulation.crystal.volume, FLIGHTS_KEPT - 1
-    path_mm = absorbed = 0.0
-    for number in range(PHOTONS):
-        trail = trails.trail(number)
-        steps = np.linalg.norm(np.diff(trail.points, axis=0), axis=1)[:kept]
-        path_mm += steps[trail.volumes[: len(steps)] == volume].sum()
-        absorbed += trail.fate == "absorbed_crystal" and trail.flights <= kept
+    simulation, trails, points = followed
+    volume = simulation.crystal.volume
+    steps = np.linalg.norm(np.diff(points, axis=1), axis=2)
+    path_mm = np.nansum(steps[trails.starts[:, :KEPT, 3] == volume])
+    absorbed = ((trails.fates == "absorbed_crystal") & (trails.flights <= KEPT)).sum()
     expected = simulation.model.volumes[volume].alpha_abs_per_mm * path_mm
     assert abs(absorbed - expected) < 4 * np.sqrt(expected)
 
@@ -125,7 +118,7 @@ def test_following_trails_changes_nothing(scenes):
 
 
 def test_every_fate_that_matters_is_drawn(followed):
-    simulation, _ = followed
+    simulation, *_ = followed
     view = np.array([[4.0, -0.1], [5.0, 0.1]])
     paths, shares = chosen_paths(simulation, view)
     assert {path.fate for path in paths} == set(shares)
