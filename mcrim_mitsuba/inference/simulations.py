@@ -218,8 +218,10 @@ class CampaignSimulations:
         precise = frozenset[str]() if self._models is None else self._models.precise
         precise |= {e.name for e in wanted if e.name not in look or e.reading is not None}
         precise |= {*pairs} - {*look}
-        if self._models is None and self.campaign.tolerances:
-            # tolerances are simulated on what is then known to be wide enough: they take as long
+        wrapped = self.campaign.scene.parts.all("shape", "wrapping")
+        if self._models is None and self.campaign.tolerances and wrapped:
+            # tolerances are simulated on what is then known to be wide enough: they take as long;
+            # elsewhere a part of a job would make all of the bench as it is, and not its share
             without = replace(self.campaign, tolerances=())
             of_bench = self.maker.make(wanted, tolerances=False)
             models = CampaignModels(
