@@ -6,7 +6,7 @@ import signal
 import time
 
 import pytest
-from app_page import KEYS, LONGEST_SIMULATION_S, misfit, running
+from app_page import KEYS, LONGEST_SIMULATION_S, eleven, misfit, running
 
 from mcrim_mitsuba.app.bench_picture import bench_words
 from mcrim_mitsuba.campaign.measurements import Reading
@@ -312,9 +312,7 @@ def choose(browser, path) -> None:
 
 
 @pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
-def test_from_a_file_to_the_averaged_yield_by_keyboard(
-    browser, tmp_path, shared_cache, scenes, size
-):
+def test_from_a_file_to_the_averaged_yield_by_keyboard(browser, tmp_path, shared_cache, size):
     campaign = misfit(tmp_path, (2, 3, 7, 15, 18), exact=True)
     browser.resize(*size)
     wide = f"keyboard {size[0]}"
@@ -324,8 +322,8 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
         app.tab_to("#upload-button")
         browser.driver.get_log("performance")
         app.press(KEYS["enter"])
-        choose(browser, scenes / "camoo4_misfit.csv")
-        browser.wait_for(lambda: app.is_about("(16)"), "readings")
+        choose(browser, eleven(tmp_path))
+        browser.wait_for(lambda: app.is_about("(11)"), "readings")
         app.settled()
         browser.screenshot(f"{wide} 1 readings")
         app.tab_to("#diagnose")
@@ -414,15 +412,15 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
         eta = app.table()[0][-1]
         app.tab_to("#rows tr:first-child [data-do=copy]")
         app.press(KEYS["enter"])
-        browser.wait_for(lambda: app.is_about("(17)"), "copy")
+        browser.wait_for(lambda: app.is_about("(12)"), "copy")
         app.settled()
-        assert app.table()[16] == ["air (2)", *app.table()[0][1:]]
+        assert app.table()[11] == ["air (2)", *app.table()[0][1:]]
         app.press("new", KEYS["enter"])  # in the field of its name, all of which is chosen
-        browser.wait_for(lambda: app.table()[16][0] == "new", "name")
+        browser.wait_for(lambda: app.table()[11][0] == "new", "name")
         app.tab_to("#rows tr:last-child [data-do=drop]")
         app.press(KEYS["enter"])
-        browser.wait_for(lambda: app.is_about("(16)"), "removal")
-        for readings in (17, 17, 16, 16):  # removed, named, added, of another index
+        browser.wait_for(lambda: app.is_about("(11)"), "removal")
+        for readings in (12, 12, 11, 11):  # removed, named, added, of another index
             app.tab_to("#undo")
             app.press(KEYS["enter"])
             browser.wait_for(lambda n=readings: app.is_about(f"({n})"), "undone")
