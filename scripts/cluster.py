@@ -69,9 +69,9 @@ def _run_on(cluster: Callable[[], Any], command: tuple[str, ...], jobs: int, sho
     words = command[1:] if command[0] == "mcrim" else command
     verb = mcrim.get_command(click.Context(mcrim), words[0]) if words else None
     # groups tell of their verbs themselves, and later
-    if verb is not None and not isinstance(verb, click.Group):
-        if not any("--cluster" in option.opts for option in verb.params):
-            raise InputError(f"{words[0]} has no option --cluster", "run it without this script")
+    taken = verb is None or isinstance(verb, click.Group)
+    if not taken and not any("--cluster" in option.opts for option in verb.params):
+        raise InputError(f"{words[0]} has no option --cluster", "run it without this script")
     try:
         started = cluster()
     except (OSError, RuntimeError, ValueError) as error:

@@ -53,6 +53,17 @@ return Math.max(way, 1);
 """
 
 
+#: Lines of the misfit's table: eleven readings, which tell its effect apart as well as all.
+ELEVEN = (2, 3, 4, 7, 8, 9, 11, 12, 15, 16, 17, 18)
+
+
+def some_of_misfit(path: Path, lines: Sequence[int]) -> Path:
+    """A file with these lines of the misfit's table of readings."""
+    table = (SCENES / "camoo4_misfit.csv").read_text().splitlines()
+    path.write_text("\n".join(table[i] for i in lines) + "\n")
+    return path
+
+
 def misfit(folder: Path, lines: Sequence[int], *, exact: bool = False) -> Path:
     """The misfit's campaign with readings of these lines of its table; an `exact` bench or not.
 
@@ -60,19 +71,10 @@ def misfit(folder: Path, lines: Sequence[int], *, exact: bool = False) -> Path:
     """
     text = (SCENES / "camoo4_misfit.toml").read_text()
     text = text.replace('scene = "camoo4.xml"', f"scene = '{SCENES / 'camoo4.xml'}'")
-    table = (SCENES / "camoo4_misfit.csv").read_text().splitlines()
-    (folder / "few.csv").write_text("\n".join(table[i] for i in lines) + "\n")
+    some_of_misfit(folder / "few.csv", lines)
     path = folder / "bench.toml"
     tolerances = "\n[tolerances]\nnone = true\n" if exact else ""
     path.write_text(text.replace("camoo4_misfit.csv", "few.csv") + tolerances)
-    return path
-
-
-def eleven(folder: Path) -> Path:
-    """Readings of the misfit to be uploaded: eleven, which tell its effect apart as well as all."""
-    table = (SCENES / "camoo4_misfit.csv").read_text().splitlines()
-    path = folder / "measured.csv"
-    path.write_text("\n".join(table[i] for i in (2, 3, 4, 7, 8, 9, 11, 12, 15, 16, 17, 18)) + "\n")
     return path
 
 

@@ -276,17 +276,16 @@ class FlatFace:
     def meeting(self, starts: np.ndarray, ways: np.ndarray) -> tuple[np.ndarray, ...]:
         """How far along lines, shape (3, n), its plane is, mm; `margin` there; if met from inside.
 
-        All are linear along a line: without points in between it takes a third of the time.
+        Within straight edges all are linear along a line, and no points are made in between.
         """
-        own = np.vstack([self._dual, self.normal])
-        a, b, above = own @ starts - (own @ self.corner)[:, None]
-        along_u, along_v, towards = own @ ways
+        axes = np.vstack([self._dual, self.normal])
+        a, b, above = axes @ starts - (axes @ self.corner)[:, None]
+        along_u, along_v, towards = axes @ ways
         with np.errstate(divide="ignore", invalid="ignore"):
             t = -above / towards
-            inside = self._inside(a + t * along_u, b + t * along_v)
             if self.circle is not None:
-                inside = np.minimum(inside, self.circle.margin((starts + t * ways).T))
-        return t, inside, towards > 0
+                return t, self.margin((starts + t * ways).T), towards > 0
+            return t, self._inside(a + t * along_u, b + t * along_v), towards > 0
 
     @property
     def _dual(self) -> np.ndarray:

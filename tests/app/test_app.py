@@ -6,7 +6,7 @@ import time
 import zipfile
 
 import pytest
-from app_page import KEYS, LONGEST_SIMULATION_S, eleven, misfit, running
+from app_page import ELEVEN, KEYS, LONGEST_SIMULATION_S, misfit, running, some_of_misfit
 
 from mcrim_mitsuba.cli.main import main
 
@@ -31,7 +31,7 @@ def width_of_page(browser) -> int:
 
 
 def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, tmp_path):
-    uploaded = eleven(tmp_path)
+    uploaded = some_of_misfit(tmp_path / "measured.csv", ELEVEN)
     with running(campaign, shared_cache, browser) as app:
         assert app.is_about("bench.toml") and app.is_about("few.csv (2)")
         assert [row[0] for row in app.table()] == ["air", "gel"]

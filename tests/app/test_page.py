@@ -6,7 +6,7 @@ import signal
 import time
 
 import pytest
-from app_page import KEYS, LONGEST_SIMULATION_S, eleven, misfit, running
+from app_page import ELEVEN, KEYS, LONGEST_SIMULATION_S, misfit, running, some_of_misfit
 
 from mcrim_mitsuba.app.bench_picture import bench_words
 from mcrim_mitsuba.campaign.measurements import Reading
@@ -322,7 +322,7 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(browser, tmp_path, shared
         app.tab_to("#upload-button")
         browser.driver.get_log("performance")
         app.press(KEYS["enter"])
-        choose(browser, eleven(tmp_path))
+        choose(browser, some_of_misfit(tmp_path / "measured.csv", ELEVEN))
         browser.wait_for(lambda: app.is_about("(11)"), "readings")
         app.settled()
         browser.screenshot(f"{wide} 1 readings")

@@ -64,9 +64,10 @@ SOUND = set()
 
 def simulation(tmp_path, text, overrides=None) -> Simulation:
     path = tmp_path / "scene.xml"
-    path.write_text(text if isinstance(text, str) else etree.tostring(text, encoding="unicode"))
-    made = Simulation(path, overrides, check=path.read_text() not in SOUND)
-    SOUND.add(path.read_text())
+    text = text if isinstance(text, str) else etree.tostring(text, encoding="unicode")
+    path.write_text(text)
+    made = Simulation(path, overrides, check=text not in SOUND)
+    SOUND.add(text)
     return made
 
 
