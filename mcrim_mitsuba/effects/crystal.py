@@ -257,7 +257,6 @@ def births_behind(name: str, what: str) -> tuple[EffectParameter]:
     """How deep radiation goes behind a face; `what` begins the parameter's meaning."""
     return one_parameter(
         name=name,
-        unit="mm",
         meaning=f"{what} in which the radiation is absorbed to 1/e",
         minimum=0.2,
         maximum=100.0,

@@ -69,7 +69,6 @@ PHOTOCATHODE_FILM = Effect(
     source="D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217",
     parameters=one_parameter(
         name="cathode_nm",
-        unit="nm",
         meaning="Thickness of the photocathode, a film between window and vacuum",
         minimum=10.0,
         maximum=35.0,

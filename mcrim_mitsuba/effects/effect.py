@@ -94,7 +94,7 @@ class EffectParameter:
     maximum: float
     #: Where a fit begins, and what `add` writes unless told otherwise.
     start: float
-    #: "mm" or "1/cm", such as its name ends in; empty: a pure number.
+    #: "mm" or "1/cm": the one that its name ends in, unless given; empty: a pure number.
     unit: str = ""
     #: The value at which the effect is not there; infinite where only 1/value reaches it; None:
     #: no value is like that.
@@ -128,6 +128,7 @@ class EffectParameter:
 
     def __post_init__(self) -> None:
         """Refuse (ValueError) what makes no sense in a catalogue, before anything is simulated."""
+        object.__setattr__(self, "unit", self.unit or unit_of(self.name) or "")
         if not _NAME.fullmatch(self.name):
             raise ValueError(f"the parameter's name {self.name!r} is not letters, digits and _")
         if "--" in self.meaning:
