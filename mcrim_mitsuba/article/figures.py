@@ -168,7 +168,6 @@ def draw_contradiction(
     axes.set_ylabel(r"$R = η_\mathrm{air} / η_\mathrm{gel}$")
     axes.set_title("the article's model, whatever it scatters", fontsize=11)
     axes.legend(loc="lower left", frameon=False, fontsize=10)
-    style.open_axes(axes)
     _draw_explanations(bars, contradiction)
     columns = ("explanation", "probability", "light_yield_ph_per_keV")
     yields = contradiction.light_yields
@@ -193,7 +192,6 @@ def _draw_explanations(axes: Axes, contradiction: Contradiction) -> None:
     if averaged is not None:
         title = f"light yield {pdg(averaged.value, averaged.sigma)} ph/keV on average"
         axes.set_title(f"{title}\nthe article: {p.LIGHT_YIELD.text}", fontsize=11)
-    style.open_axes(axes)
 
 
 def _legend(axes: Axes, place: str, unpolarised: str, *further: Line2D) -> None:
@@ -264,4 +262,3 @@ def _scattering_axis(axes: Axes) -> None:
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.set_xlabel(r"scattering coefficient $α_\mathrm{scat}$ (1/cm)")
-    style.open_axes(axes)

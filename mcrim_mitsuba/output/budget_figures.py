@@ -71,7 +71,7 @@ def draw_budget(calibration: Calibration) -> style.Drawing:
         return style.sentence_instead("nothing was fitted: there are no errors", (columns, rows))
     down, across = style.panels_of(len(fitted))
     figure = style.canvas(max(_BUDGET_WIDE * across + 1.3, 7.2), _HIGH * down + 0.9)
-    for axes, (name, estimate) in zip(style.panels(figure, len(fitted)), fitted, strict=True):
+    for axes, (name, estimate) in zip(style.panels(figure, len(fitted), "x"), fitted, strict=True):
         _draw_contributions(axes, name, estimate)
     style.legend_of(
         figure, [Patch(label=kind, **bar) for kind, bar in BARS.items()], "lower center", 3
@@ -192,7 +192,8 @@ def draw_neglected(budget: Budget) -> style.Drawing:
         return style.sentence_instead("a parameter ended at its bound: no budget", numbers)
     rows = _rows(budget, names)
     wide, high, across = _NAMES + _NEGLECTED_WIDE * len(names), 1.5 + _ROW * len(rows), len(names)
-    figure, all_axes = style.axes_of(wide, high, 1, across, sharey=True, squeeze=False)
+    options: dict[str, Any] = {"lines": "x", "sharey": True, "squeeze": False}
+    figure, all_axes = style.axes_of(wide, high, 1, across, **options)
     for axes, name in zip(all_axes[0], names, strict=True):
         total = budget.totals[name]
         for place, row in enumerate(rows):
@@ -331,7 +332,6 @@ def _finish_plan(statistical: Axes, total: Axes, wanted: float) -> None:
         label = ""
         axes.set(xscale="log", xlabel="events in the band, per mounting")
         axes.set_title(title, loc="left", fontsize=11)
-        style.open_axes(axes)
     statistical.set(yscale="log", ylabel="expected error of the light yield (%)")
     statistical.yaxis.set_major_formatter("{x:g}")
     # others stand too close to the next power of ten

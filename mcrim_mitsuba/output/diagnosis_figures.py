@@ -186,8 +186,8 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     longest = max(len(line) for row in rows for line in row.name.split("\n"))
     room = _LABEL_PER_CHARACTER * longest + 0.4
     wide, high = room + _BARS_WIDTH + sum(widths), 1.8 + _PER_ROW * max(edges[-1], 4)
-    parts = {"width_ratios": (*_BARS_WIDTHS, sum(widths))}
-    figure, (chances, bars, beside) = style.axes_of(wide, high, 1, 3, sharey=True, **parts)
+    parts: dict[str, Any] = {"width_ratios": (*_BARS_WIDTHS, sum(widths)), "sharey": True}
+    figure, (chances, bars, beside) = style.axes_of(wide, high, 1, 3, lines="x", **parts)
     _draw_probabilities(chances, places, rows)
     threshold = _draw_threshold(bars, edges, diagnosis.baseline.chi2, rows)
     _draw_gains(bars, places, rows)
@@ -235,7 +235,6 @@ def _draw_probabilities(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) ->
             axes.barh(place, 100 * p, color=row.colour, **_BAR)
             style.text_after_bar(axes, probability(p), (100 * p, place), weight=row.weight)
     axes.set(xlim=(0, 135), xticks=[0, 50, 100], xlabel="probability, %")
-    style.open_axes(axes, "x")
 
 
 def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
@@ -258,7 +257,6 @@ def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
     axes.axvline(0, color=style.GREY, lw=0.9)
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set_xlabel("fall of χ² when the effect is added")
-    style.open_axes(axes, "x")
 
 
 def _title_ranking(figure: Figure, diagnosis: Diagnosis) -> None:
@@ -328,7 +326,7 @@ def draw_next(diagnosis: Diagnosis) -> style.Drawing:
         for words, sigma, otherwise in errors[:_MOST_PROPOSALS]
     ]
     names = [style.in_lines(name, 28) for name, *_ in rows]
-    figure, axes = style.axes_of(6.4, 1.2 + 0.6 * len(rows))
+    figure, axes = style.axes_of(6.4, 1.2 + 0.6 * len(rows), lines="x")
     axes.axvspan(value - averaged.sigma, value + averaged.sigma, color=style.PALE, lw=0)
     for place, (_, _, sigma, otherwise) in enumerate(rows):
         colour = style.DARK if place else style.WARM
@@ -381,11 +379,11 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
     count = 1 + any(light_or_scale in step.parameters for step in stairs)
     width = max(4.6 * count, 2.0 + 1.4 * count * len(stairs))
     figure = style.canvas(width, 4.2)
-    panels = style.panels(figure, count, sharex=True)
+    panels = style.panels(figure, count, "y", sharex=True)
     _draw_chi2(panels[0], stairs)
     for axes in panels[1:]:
         estimates = [step.parameters.get(light_or_scale) for step in stairs]
-        _staircase_title(axes, style.parameter_title(light_or_scale))
+        axes.set_title(style.parameter_title(light_or_scale), loc="left", fontsize=11)
         heights = [e.value if e else None for e in estimates]
         # without errors where it is at a bound
         errors = [e.sigma if e and e.at_bound is None else 0.0 for e in estimates]
@@ -416,7 +414,8 @@ def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     else:
         axes.set_ylim(bottom=0)
-    _staircase_title(axes, "χ² per degree of freedom (band: 1 ± √(2/ndf))")
+    title = "χ² per degree of freedom (band: 1 ± √(2/ndf))"
+    axes.set_title(title, loc="left", fontsize=11)
 
 
 def _stairs(
@@ -444,8 +443,3 @@ def _stairs(
         above = 9 if isinstance(step, FinalStep) else 7
         axes.annotate(text, end, (0, above), zorder=5, bbox=style.paper(0.75, 0.8), **look)
     axes.margins(y=0.28)
-
-
-def _staircase_title(axes: Axes, title: str) -> None:
-    axes.set_title(title, loc="left", fontsize=11)
-    style.open_axes(axes, "y")

@@ -58,12 +58,23 @@ def canvas(width_inches: float, height_inches: float) -> Figure:
     return figure
 
 
+#: Along which axes a quiet grid lies.
+Lines = Literal["both", "x", "y"]
+
+
 def axes_of(
-    width_inches: float = 7.2, height_inches: float = 5.0, *grid: int, **options: Any
+    width_inches: float = 7.2,
+    height_inches: float = 5.0,
+    *grid: int,
+    lines: Lines = "both",
+    **options: Any,
 ) -> tuple[Figure, Any]:
     """A `canvas` with one axes, or a `grid` of them: so many below, and beside each other."""
     figure = canvas(width_inches, height_inches)
-    return figure, figure.subplots(*grid, **options)
+    axes = figure.subplots(*grid, **options)
+    for each in figure.axes:
+        open_axes(each, lines)
+    return figure, axes
 
 
 #: Most panels side by side.
@@ -76,18 +87,20 @@ def panels_of(count: int) -> tuple[int, int]:
     return down, math.ceil(count / down)
 
 
-def panels(figure: Figure, count: int, **options: Any) -> list[Axes]:
+def panels(figure: Figure, count: int, lines: Lines, **options: Any) -> list[Axes]:
     """So many axes, as `panels_of` arranges them."""
     down, across = panels_of(count)
     grid = figure.subplots(down, across, squeeze=False, **options).ravel()
+    for axes in grid[:count]:
+        open_axes(axes, lines)
     for axes in grid[count:]:
         axes.set_axis_off()
     return list(grid[:count])
 
 
-def open_axes(axes: Axes, grid: Literal["both", "x", "y"] = "both") -> None:
+def open_axes(axes: Axes, lines: Lines = "both") -> None:
     """A quiet grid behind the data, along ``x``, ``y`` or ``both``; no frame above and beside."""
-    axes.grid(axis=grid, color="0.92", lw=0.8)
+    axes.grid(axis=lines, color="0.92", lw=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
 
@@ -231,7 +244,6 @@ def rows_of_bars(axes: Axes, names: Sequence[str], above: float = 0.5, **look: A
     axes.set_yticks(range(len(names)), names, **look)
     axes.set_ylim(len(names) - 0.5, -above)
     axes.tick_params(axis="y", length=0)
-    open_axes(axes, "x")
 
 
 def numbers_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

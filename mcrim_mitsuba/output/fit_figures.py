@@ -134,7 +134,8 @@ def _draw_along(
     series: _Series, before: Calibration, after: Calibration | None, unit: str
 ) -> Figure:
     """A curve for each treatment over one number of the bench, and its pulls below."""
-    figure, (upper, lower) = style.axes_of(8.6, 7.4, 2, sharex=True, height_ratios=(1.7, 1))
+    parts: dict[str, Any] = {"lines": "y", "sharex": True, "height_ratios": (1.7, 1)}
+    figure, (upper, lower) = style.axes_of(8.6, 7.4, 2, **parts)
     _bands_of_pulls(lower)
     fits = [(before, (0, (2.2, 1.2))), *([(after, "-")] if after is not None else [])]
     shown = fits[-1][0]
@@ -162,7 +163,6 @@ def _draw_along(
     upper.set_ylabel(style.signal_title(unit, "\n"), parse_math=False)
     upper.set_ylim(bottom=0.0)
     lower.set_xlabel(titled(series.parameter))
-    style.open_axes(upper, "y")
     style.legend_above(upper, handles, ncols=2, handlelength=2.2)
     return figure
 
@@ -195,7 +195,8 @@ def _over_readings(
     width = min(max(8.0, _MARGINS + _PER_READING * len(names)), _WIDEST)
     upright = longest_inches >= 0.85 * (width - _MARGINS) / max(len(names), 1)
     height = 6.0 + (longest_inches if upright else 0.0)
-    figure, (upper, lower) = style.axes_of(width, height, 2, sharex=True, height_ratios=heights)
+    parts: dict[str, Any] = {"lines": "y", "sharex": True, "height_ratios": heights}
+    figure, (upper, lower) = style.axes_of(width, height, 2, **parts)
     size = 5 if _PER_READING * len(names) > _WIDEST else 9.5
     look: dict[str, Any] = {"rotation": 90 if upright else 0, "fontsize": size}
     lower.set_xticks(np.arange(len(names)), names, parse_math=False, **look)
@@ -227,7 +228,6 @@ def draw_hypotheses(compared: SideBySide) -> style.Drawing:
         lower.vlines(places + shift, 0, differences, color=look["color"], lw=1.1, zorder=3)
         lower.plot(places + shift, differences, zorder=4, label=label, **look)
     lower.set_ylabel("difference of predictions\n(standard errors)")
-    style.open_axes(lower, "y")
     style.legend_above(lower, ncols=2, handlelength=1.8)
     # a reading a row; of each hypothesis the predictions, in columns that end in its name
     columns, rows = style.numbers_of(
@@ -271,7 +271,6 @@ def _draw_signals(axes: Axes, places: np.ndarray, fits: Sequence[_Pulls], unit: 
     handles += _mark_suspects(axes, places, before) if len(fits) == 1 else []
     axes.set_ylabel(style.signal_title(unit, "\n"), parse_math=False)
     axes.set_ylim(bottom=min(0.0, 1.1 * float(measured.min(initial=0.0))))
-    style.open_axes(axes, "y")
     of_beam = [row.of_beam for row in before.rows]
     if any(of_beam):
         whole = float(factors[of_beam.index(True)])
@@ -285,7 +284,6 @@ def _bands_of_pulls(axes: Axes) -> None:
     axes.axhspan(-2, 2, color="0.93", lw=0)
     axes.axhspan(-1, 1, color="0.85", lw=0)
     axes.set_ylabel("pull (standard errors;\nbands: ±1 and ±2)")
-    style.open_axes(axes, "y")
 
 
 def _draw_pulls(axes: Axes, places: np.ndarray, fits: Sequence[_Pulls]) -> None:
@@ -364,7 +362,7 @@ def draw_profiles(profiles: Sequence[Profile]) -> style.Drawing:
     profiles = sorted(profiles, key=lambda profile: profile.name != LIGHT_YIELD)
     down, across = style.panels_of(len(profiles))
     figure = style.canvas(max(_WIDE * across, 7.2), _HIGH * down + 0.5)
-    all_axes = style.panels(figure, len(profiles), sharey=True)
+    all_axes = style.panels(figure, len(profiles), "x", sharey=True)
     for axes, profile in zip(all_axes, profiles, strict=True):
         _draw_profile(axes, profile)
     for axes in all_axes[::across]:
@@ -410,7 +408,6 @@ def _draw_profile(axes: Axes, profile: Profile) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(5))
     title = f"{capital(style.shortened(quantity(profile.name), 26))}: {_interval(profile)}"
     axes.set_title(title, loc="left", fontsize=11, parse_math=False)
-    style.open_axes(axes, "x")
 
 
 def _interval(profile: Profile) -> str:

@@ -116,7 +116,6 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
     axes.set_xlim(left=min((float(entry.histogram.photons[0]) for entry in fitted), default=0.0))
     axes.set(xlabel="detected photons per event", ylabel="events per bin")
     axes.set_title(style.shortened(title, 90), loc="left", fontsize=11, parse_math=False)
-    style.open_axes(axes)
     outside = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
     place: dict[str, Any] = outside if len(fitted) > _MOST_INSIDE else {"loc": "upper right"}
     style.legend(axes, handles, handlelength=2.6, **place)
@@ -221,7 +220,6 @@ def draw_calibration(histograms: Sequence[Histogram]) -> style.Drawing:
             axes.set(ylim=(min(0.0, float(curves[-1][2].min())), top), xlim=(0.0, places[-1]))
         axes.set(xlabel=unit, ylabel="events, highest 1" if step == _PEDESTAL else "events")
         axes.set_title(step, loc="left", fontsize=11)
-        style.open_axes(axes)
         style.legend(axes, loc="upper right")
     return style.Drawing(figure, "step spectrum place events".split(), rows)
 
@@ -299,7 +297,6 @@ def draw_efficiency(efficiency: DetectorEfficiency) -> style.Drawing:
     axes.axhspan(mean - sigma, mean + sigma, color=style.GREY, alpha=0.15, lw=0, zorder=2)
     axes.axhline(mean, label=f"weighted mean {pdg(mean, sigma)} %", **_DASHED)
     axes.set(xlabel="wavelength, nm", ylabel="quantum efficiency, %")
-    style.open_axes(axes)
     style.legend(axes, loc="upper center", ncols=2)
     return style.Drawing(figure, *_efficiency_numbers(efficiency))
 
@@ -360,7 +357,6 @@ def draw_absorption(absorption: Absorption) -> style.Drawing:
     above.set_ylabel("measured transmittance, %")
     below.set(ylabel="absorption coefficient, 1/cm", xlabel="wavelength, nm")
     for axes in (above, below):
-        style.open_axes(axes)
         style.legend(axes, loc="upper center", ncols=2)
     return style.Drawing(figure, *_absorption_numbers(absorption))
 
@@ -452,7 +448,6 @@ def draw_lines(lines: Mapping[str, Sequence[Line]]) -> style.Drawing:
     right.set_xlim(left=0.0)
     right.set_ylim(bottom=0.0)
     for axes in (left, right):
-        style.open_axes(axes)
         style.legend(axes)
     columns = "histogram energy_keV photons relative relative_sigma fwhm fwhm_sigma".split()
     return style.Drawing(figure, columns, rows)
@@ -474,7 +469,7 @@ _NARROW = 9.0
 def draw_widths(widths: Mapping[str, Sequence[WidthParts]]) -> style.Drawing:
     """A bar for each histogram and place where gammas stop: shares of the variance, which add."""
     rows = [(name, parts) for name, by_place in widths.items() for parts in by_place]
-    figure, axes = style.axes_of(9.6, 1.5 + 0.55 * len(rows))
+    figure, axes = style.axes_of(9.6, 1.5 + 0.55 * len(rows), lines="x")
     longest = 100.0
     for row, (_, parts) in enumerate(rows):
         left = 0.0

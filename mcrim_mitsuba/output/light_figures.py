@@ -268,7 +268,6 @@ def draw_spectrum(spectrum: EtaSpectrum) -> style.Drawing:
     below.set(xlabel="wavelength (nm)", ylabel="light over its maximum")
     below.set(ylim=(0, None), xlim=(nm[0], nm[-1]))
     for axes in (above, below):
-        style.open_axes(axes)
         style.legend_above(axes, ncols=3, handlelength=2.6)
     columns = {"wavelength_nm": nm, "eta": spectrum.eta, "eta_sigma": spectrum.eta_sigma}
     columns |= {"emission": light.emission, "efficiency": light.efficiency}
@@ -305,8 +304,6 @@ def draw_times(times: ArrivalTimes) -> style.Drawing:
         right.errorbar(number + shift, photons.mean_ps, photons.rms_ps, **look)
     right.set(ylabel="arrival time, mean and rms (ps)", ylim=(0, None), xticks=number)
     right.set_xlabel(f"number among {times.detected:,} detected photons")
-    for axes in (left, right):
-        style.open_axes(axes)
     style.legend_above(left, ncols=1, handlelength=2.6)
     style.legend_above(right, ncols=1)
     # rows of the histogram, then of the first photons: either kind leaves the other's columns empty
@@ -338,7 +335,7 @@ _HEIGHT = 0.56
 @style.styled
 def draw_fates(lights: Lights) -> style.Drawing:
     """Which fates light meets, one bar per configuration from top to bottom."""
-    figure, axes = style.axes_of(9.6, 1.75 + 0.95 * len(lights))
+    figure, axes = style.axes_of(9.6, 1.75 + 0.95 * len(lights), lines="x")
     shown = style.ordered(
         fate for _, light in lights for fate, share in light.budget.items() if 100 * share >= _LEAST
     )
@@ -451,7 +448,6 @@ def draw_table(tabulated: EtaTable) -> style.Drawing:
         axes.set_xticks(places, [str(value) for value in values], parse_math=False)
     axes.set_xlabel(titled(along), parse_math=False)
     axes.set_ylabel("light collection efficiency")
-    style.open_axes(axes)
     if others:
         figure.legend(loc="outside upper center", ncols=min(3, lines), fontsize=9, frameon=False)
     return style.Drawing(figure, tabulated.columns, table_rows)

@@ -149,7 +149,6 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
     for axes in (left, right):
         axes.axvline(curve.solution_per_cm, color=style.GREY, lw=1.2, ls=":")
         axes.set(xscale="log", xlabel=r"$α_\mathrm{scat}$ (1/cm); dotted: fitted")
-        style.open_axes(axes)
     columns = {"alpha_scat_per_cm": curve.alpha_scat_per_cm}
     columns |= {"eta_first": curve.eta[:, 0], "eta_second": curve.eta[:, 1], "ratio": curve.ratio}
     measured = {"measured_ratio": curve.measured, "measured_ratio_sigma": curve.measured_sigma}
