@@ -69,28 +69,22 @@ _MOST_CELLS = 400_000
 _CLEAR = np.array([8, 4])
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Placing:
-    """How a label's place is chosen; lengths and penalties in cells of the grid."""
-
-    #: Targets and places that are tried at most: more are thinned out.
-    most_targets: int = 40
-    most_places: int = 5000
-    #: A leader is best that long, and at least so high: long enough to be seen, rather steep.
-    leader: float = 14.0
-    height: float = 10.0
-    #: Points of a leader, from its beginning to this part of it, that are looked at, and what each
-    #: costs that lies on a line or in a volume that is not meant.
-    points: int = 9
-    looked_at: float = 0.8
-    on_something: float = 20.0
-    #: What each cell of a photon's path under the label costs.
-    on_path: float = 0.7
-    #: Half the side of the square around a leader's end that other labels leave free.
-    around_end: int = 5
-
-
-_PLACING = _Placing()
+# How a label's place is chosen; lengths and penalties in cells of the grid.
+#: Targets and places that are tried at most: more are thinned out.
+_MOST_TARGETS = 40
+_MOST_PLACES = 5000
+#: A leader is best that long, and at least so high: long enough to be seen, rather steep.
+_LEADER = 14.0
+_LEAST_HEIGHT = 10.0
+#: Points of a leader, from its beginning to this part of it, that are looked at, and what each
+#: costs that lies on a line or in a volume that is not meant.
+_POINTS = 9
+_LOOKED_AT = 0.8
+_ON_SOMETHING = 20.0
+#: What each cell of a photon's path under the label costs.
+_ON_PATH = 0.7
+#: Half the side of the square around a leader's end that other labels leave free.
+_AROUND_END = 5
 
 
 class SectionAxes:
@@ -276,7 +270,7 @@ class SectionAxes:
         """
         if not len(targets):
             return False
-        few = targets[:: len(targets) // _PLACING.most_targets + 1] + 0.5
+        few = targets[:: len(targets) // _MOST_TARGETS + 1] + 0.5
         targets = few if beside else targets.mean(axis=0)[None]
         room = ~self.taken & ((self.owner == volume) | (beside & (self.owner == 0)))
         look: dict[str, Any] = {"size": 10.5, "va": "bottom", "zorder": 6}
@@ -288,7 +282,7 @@ class SectionAxes:
             if not len(low):
                 artist.remove()
                 continue
-            low = low[:: len(low) // _PLACING.most_places + 1] if beside else low
+            low = low[:: len(low) // _MOST_PLACES + 1] if beside else low
             # (places, targets, 2): the point of the text's rectangle that is next to the target, or
             # its middle
             start = np.clip(targets, low, low + size - 1) if beside else low + size / 2
@@ -296,7 +290,7 @@ class SectionAxes:
             if beside and leader:
                 cost = self._cost_of_leader(start, targets, volume, on_paths)
             else:
-                cost = np.linalg.norm(start - targets, axis=2) + _PLACING.on_path * on_paths
+                cost = np.linalg.norm(start - targets, axis=2) + _ON_PATH * on_paths
             best, target = np.unravel_index(cost.argmin(), cost.shape)
             (column, row), corner = low[best, 0], low[best, 0] + _CLEAR / _CELL
             points = np.array([corner, start[best, target], targets[target]]) * _CELL + self.box.p0
@@ -307,7 +301,7 @@ class SectionAxes:
             if beside and leader:
                 self.line(np.array(link), INK, 0.8)
                 self.ax.plot(*link[1], "o", color=INK, markersize=4, markeredgecolor="white")
-                self._take_around(targets[target].astype(int), _PLACING.around_end)
+                self._take_around(targets[target].astype(int), _AROUND_END)
             self.taken[row : row + h, column : column + w] = True
             return True
         return False
@@ -322,14 +316,14 @@ class SectionAxes:
         """
         length = np.linalg.norm(start - targets, axis=2)
         height = np.abs(start - targets)[..., 1]
-        least = np.abs(length - _PLACING.leader) + np.maximum(_PLACING.height - height, 0)
-        least += _PLACING.on_path * on_paths
-        on_cell = _PLACING.on_something * (self.taken | ~np.isin(self.owner, (0, volume)))
+        least = np.abs(length - _LEADER) + np.maximum(_LEAST_HEIGHT - height, 0)
+        least += _ON_PATH * on_paths
+        on_cell = _ON_SOMETHING * (self.taken | ~np.isin(self.owner, (0, volume)))
         cost, bound = np.full_like(least, np.inf), np.quantile(least, 0.01)
         for _ in range(2):  # the cheapest few, and those that may be cheaper than the best of them
             near = np.nonzero(least <= bound)
             begin, away = start[near], targets[near[1]] - start[near]
-            shares = np.linspace(0, _PLACING.looked_at, _PLACING.points)[:, None, None]
+            shares = np.linspace(0, _LOOKED_AT, _POINTS)[:, None, None]
             columns, rows = np.moveaxis((begin + shares * away).astype(int), -1, 0)
             cost[near] = least[near] + on_cell[rows, columns].sum(axis=0)
             bound = cost.min()

@@ -30,7 +30,6 @@ from mcrim_mitsuba.output.description import (
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.efficiency.attenuation import Attenuation
-    from mcrim_mitsuba.efficiency.lighting import Spread
     from mcrim_mitsuba.output import scene_results as results
     from mcrim_mitsuba.scene.check_text import Interface
 
@@ -77,14 +76,12 @@ def of_simulation(result: results.LightResult) -> Description:
     return described("light collection efficiency", eta, of_each, ends, notes=result.notes)
 
 
-def _rms(spread: Spread) -> Cell:
-    return measured(spread.relative_rms, spread.relative_rms_sigma, 100.0)
-
-
 _SPREADS = (
     Column("gammas stop", "source"),
     Column("eta", form="±"),
-    Column("rms (%)", "rms_percent", of=_rms),
+    Column(
+        "rms (%)", "rms_percent", of=lambda s: measured(s.relative_rms, s.relative_rms_sigma, 100.0)
+    ),
     Column("FWHM (%)", "fwhm_percent", of=lambda spread: shown(100.0 * spread.fwhm, ".2g")),
 )
 

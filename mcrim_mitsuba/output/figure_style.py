@@ -203,14 +203,14 @@ def save(figure: Figure, path: str | Path) -> Path:
     return path
 
 
-def content_of(figure: Figure, form: str) -> bytes:
-    """A figure's file in a format, such as ``png``."""
+def content_of(figure: Figure, form: str, **options: Any) -> bytes:
+    """A figure's file in a format, such as ``png``, by these options of matplotlib."""
     content = io.BytesIO()
     # journals take TrueType fonts in a PDF, not Type 3
     with warnings.catch_warnings(), rc_context({"pdf.fonttype": 42}):
-        # a label in a script that the font lacks shows boxes; the CSV has it
+        # a label in a script that the font lacks shows boxes; tables and CSV have it
         warnings.filterwarnings("ignore", message="Glyph .* missing")
-        figure.savefig(content, format=form, dpi=_DPI)
+        figure.savefig(content, format=form, **{"dpi": _DPI, **options})
     return content.getvalue()
 
 

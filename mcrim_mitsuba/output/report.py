@@ -9,7 +9,6 @@ import itertools
 import json
 import re
 import shlex
-import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -39,13 +38,11 @@ from mcrim_mitsuba.output.budget_figures import draw_budget
 from mcrim_mitsuba.output.describe_scene import FACES
 from mcrim_mitsuba.output.description import records
 from mcrim_mitsuba.output.diagnosis_figures import draw_next, draw_ranking, draw_staircase
-from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
 from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 from mcrim_mitsuba.output.light_figures import Lights, draw_arrival, draw_fates
 from mcrim_mitsuba.output.pages import environment
 from mcrim_mitsuba.output.report_sections import RatioOfSignals, Sections, gather
-from mcrim_mitsuba.output.sentences import in_words
 
 # matplotlib writes texts into comments and a date into the metadata; a page needs neither
 _COMMENTS = re.compile(r"<!--.*?-->\n?|<metadata>.*?</metadata>\n?|<!DOCTYPE.*?>\n?", re.DOTALL)
@@ -79,16 +76,14 @@ def of_drawing(name: str, drawing: style.Drawing, alt: str, **further: style.Num
 
     `further` tables behind it, besides the drawing's own, come by what they hold.
     """
-    stream, figure = io.StringIO(), drawing.figure
+    figure = drawing.figure
     if (layout := figure.get_layout_engine()) is not None:
         # once, by metrics that are quicker than those of outlines
         layout.execute(figure)
         figure.set_layout_engine("none")
-    with rc_context({"svg.fonttype": "path", "svg.hashsalt": name}), warnings.catch_warnings():
-        # a label in a script that the font lacks shows boxes; tables and CSV have it
-        warnings.filterwarnings("ignore", message="Glyph .* missing")
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    text = _NOT_XML.sub("", _COMMENTS.sub("", stream.getvalue()))
+    with rc_context({"svg.fonttype": "path", "svg.hashsalt": name}):
+        svg = style.content_of(figure, "svg", dpi="figure", metadata={"Date": None})
+    text = _NOT_XML.sub("", _COMMENTS.sub("", svg.decode()))
     text = _PATHS.sub(lambda path: _FURTHER_DIGITS.sub(r"\1", path[0]), text)
     wide, high = (round(side * _PIXELS_PER_INCH) for side in figure.get_size_inches())
     tables = {"numbers": (drawing.columns, drawing.rows)} if drawing.columns else {}
@@ -224,7 +219,7 @@ def _drawings(sections: Sections) -> dict[str, style.Drawing]:
     if sections.effects:
         if not sections.chosen_by_hand:
             drawings["staircase"] = draw_staircase(diagnosis.repair, fit)
-        added = in_words(diagnosis, sections.effects)
+        added = sentences.in_words(diagnosis, sections.effects)
         drawings["before-and-after"] = draw_comparison(baseline, fit, added=added, unit=unit)
     else:
         drawings["comparison"] = draw_comparison(baseline, unit=unit)
@@ -267,7 +262,7 @@ _RUN = re.compile(rf"{_RIGHT_TO_LEFT}+(?:[ ]+{_RIGHT_TO_LEFT}+)*")
 
 def brief(text: object, most: int = MOST_IN_A_TABLE) -> str:
     """A text for a table, an attribute or a sentence: in one line, visible and not too long."""
-    return shortened(str(text), most)
+    return style.shortened(str(text), most)
 
 
 def said(text: object, most: int = MOST_IN_A_TABLE) -> Markup:

@@ -22,7 +22,7 @@ from mcrim_mitsuba.core.files import (
 )
 from mcrim_mitsuba.core.numbers import ENERGIES_KEV, parse_number
 from mcrim_mitsuba.output.describe_laboratory import of_peaks
-from mcrim_mitsuba.output.registry import VerbResult
+from mcrim_mitsuba.output.registry import VerbResult, laboratory_figures
 
 
 class _Window(options.Written):
@@ -117,12 +117,6 @@ def peak(
     """
     from mcrim_mitsuba.campaign.calibration import calibration_of_file
     from mcrim_mitsuba.campaign.editor import calibration_json
-    from mcrim_mitsuba.output.laboratory_figures import (
-        draw_calibration,
-        draw_histograms,
-        draw_lines,
-        draw_widths,
-    )
 
     below = _below(escapes, energy_keV, step)
     if lines and (below.step or below.lines):
@@ -148,18 +142,20 @@ def peak(
         "combined": combined and attributes(combined, _OF_MEAN) | {"outliers": outliers},
         "notes": notes,
     }
-    pictures = {"histograms": lambda: draw_histograms(fitted)}
+    pictures = {"histograms": lambda: laboratory_figures.draw_histograms(fitted)}
     if calibration:
         document["calibration"] = calibration_json(calibration)
         notes += calibration.notes
-        pictures["calibration"] = lambda: draw_calibration([of.histogram for of in fitted])
+        pictures["calibration"] = lambda: laboratory_figures.draw_calibration(
+            [of.histogram for of in fitted]
+        )
     if widths := _widths(peaks, map_file, depth_mm, deposits):
-        pictures["widths"] = lambda: draw_widths(widths)
+        pictures["widths"] = lambda: laboratory_figures.draw_widths(widths)
         parts = [(name, width) for name, of_peak in widths.items() for width in of_peak]
         document["widths"] = [{"histogram": name, **asdict(width)} for name, width in parts]
     found, numbers = _lines(fitted, lines)
     if found:
-        document["lines"], pictures["lines"] = numbers, lambda: draw_lines(found)
+        document["lines"], pictures["lines"] = numbers, lambda: laboratory_figures.draw_lines(found)
     shown = of_peaks(fitted, combined, notes, widths, calibration, found)
     result = VerbResult(kind="peaks", shown=shown, numbers=document, drawings=pictures)
     showing.answer(result, json_file, figure)
@@ -173,7 +169,6 @@ def peak(
 def _fitted(files: tuple[str, ...], calibration, shape: str, window, below) -> list:
     """Histograms by short names with their main peaks."""
     from mcrim_mitsuba.laboratory.calibration import fit_histogram, read_photons, window_of
-    from mcrim_mitsuba.output.laboratory_figures import FittedHistogram
 
     names = [Path(file).name for file in files]
     names = names if len(set(names)) == len(names) else list(files)
@@ -183,7 +178,7 @@ def _fitted(files: tuple[str, ...], calibration, shape: str, window, below) -> l
         with placed(path=histogram.path):
             within = window_of(histogram, window)
             main = fit_histogram(histogram, shape=shape, window=within, below=below)
-        fitted.append(FittedHistogram(name, histogram, main))
+        fitted.append(laboratory_figures.FittedHistogram(name, histogram, main))
     return fitted
 
 
