@@ -120,10 +120,9 @@ def _beyond_the_end(medium: Material, wavelength_nm: Array) -> Array:
     return beyond * np.where(beyond < 0, first_slope, last_slope)
 
 
-#: Width of a band of which only the maximum is given: self-trapped excitons in oxides.
-_USUAL_WIDTH_NM = 150.0
-#: The maximum of light of which nothing else is said, and its width: those of CaMoO4.
+#: The maximum of light of which nothing else is said: that of CaMoO4.
 USUAL_NM = 540.0
+#: Width of a band of which no more than the maximum is given: self-trapped excitons in oxides.
 USUAL_WIDTH_NM = 150.0
 #: How far a Gaussian band is followed, in widths.
 WIDTHS = 1.5
@@ -185,7 +184,7 @@ def indices_over_band(
 
 def _gaussian(medium: Material, wavelength_nm: float | None) -> tuple[Spectrum, str]:
     """A Gaussian band at a wavelength, or where the material usually emits; its origin in words."""
-    fwhm = medium.emission_fwhm_nm or _USUAL_WIDTH_NM
+    fwhm = medium.emission_fwhm_nm or USUAL_WIDTH_NM
     maximum = medium.emission_nm if wavelength_nm is None else wavelength_nm
     # of a maximum alone the catalogue does not tell how much of the light has which index
     if maximum is None or (wavelength_nm is None and medium.emission_fwhm_nm is None):
