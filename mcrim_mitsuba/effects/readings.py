@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -151,10 +152,11 @@ CELL_SATURATION = Effect(
 )
 
 
-def reading_gain_drift(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
-    """reading = signal (1 + drift position)."""
-    gain = 1.0 + value * rows.position
-    return signals * gain, np.broadcast_to(gain, signals.shape), signals * rows.position
+def reading_in_proportion(name: str, signals: np.ndarray, value: float, rows: Rows) -> Predicted:
+    """reading = signal (1 + value x), x being what rows have under this name."""
+    x = getattr(rows, name)
+    factor = 1.0 + value * x
+    return signals * factor, np.broadcast_to(factor, signals.shape), signals * x
 
 
 GAIN_DRIFT = Effect(
@@ -182,15 +184,9 @@ GAIN_DRIFT = Effect(
         plausible=(-0.03, 0.03),
         nodes=(-0.1, -0.04, 0.04, 0.1),
     ),
-    reading=reading_gain_drift,
+    reading=partial(reading_in_proportion, "position"),
     order=2,
 )
-
-
-def reading_sample_scale(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
-    """reading = signal (1 + this) where the crystal is another one."""
-    share = 1.0 + value * rows.other_sample
-    return signals * share, np.broadcast_to(share, signals.shape), signals * rows.other_sample
 
 
 SAMPLE_SCALE = Effect(
@@ -217,7 +213,7 @@ SAMPLE_SCALE = Effect(
         plausible=(-0.1, 0.1),
         nodes=(-0.2, -0.08, 0.08, 0.2),
     ),
-    reading=reading_sample_scale,
+    reading=partial(reading_in_proportion, "other_sample"),
     order=-1,
 )
 
