@@ -103,12 +103,8 @@ def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
     if not ties and not switches:
         return campaign
     tied = {*ties, *ties.values()}
-    treatments = tuple(
-        effect.name
-        for effect in campaign.switched_on
-        if effect.switched_off is not None
-        and (effect.name in switches or tied & effect.switched_off.keys())
-    )
+    sizes_of = {effect.name: effect.switched_off or {} for effect in campaign.switched_on}
+    treatments = tuple(n for n, of in sizes_of.items() if of and (n in switches or tied & {*of}))
     scene = campaign.scene
     for name in treatments:
         effect = campaign.catalogue[name]
@@ -116,7 +112,7 @@ def with_treatments(campaign: Campaign, document: TomlDocument) -> Campaign:
             with said_by(partial(document.refusal, "effects"), placed_too=False):
                 scene = scene.edited(add(effect, scene))
     editor = SceneEditor(scene, {})
-    sizes = [n for name in treatments for n in campaign.catalogue[name].switched_off or ()]
+    sizes = [size for name in treatments for size in sizes_of[name]]
     for size in sizes:
         start = document.table(f"{_PARAMETERS}.{ties.get(size, size)}").number("start")
         if start is not None:
@@ -162,9 +158,8 @@ def _bare_faces(editor: SceneEditor) -> dict[str, tuple[str, str]]:
     for wrapping in editor.all("shape", "wrapping"):
         name, part = wrapping.get("id", ""), wrapping.named("without")
         given = "" if part is None else part.get("value", "")
-        parameter = (
-            given.removeprefix("$") if given.startswith("$") else f"{name or 'wrapping'}_without"
-        )
+        usual = f"{name or 'wrapping'}_without"
+        parameter = given.removeprefix("$") if given.startswith("$") else usual
         faces[name] = parameter, str(editor.scene.parameters.get(parameter, given or "none"))
     return faces
 

@@ -161,10 +161,9 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
     for number in values:
         if not (number.value > 0 and math.isfinite(number.value)):
             raise InputError(f"one of the values is {number.value:g}", "give numbers above 0")
-    origins = list(dict.fromkeys(origin for number in values for origin in number.relative))
-    errors = np.array(
-        [[number.relative.get(origin, 0.0) for origin in origins] for number in values]
-    )
+    relative = [number.relative for number in values]
+    origins = list(dict.fromkeys(origin for errors in relative for origin in errors))
+    errors = np.array([[parts.get(origin, 0.0) for origin in origins] for parts in relative])
     # (values, values), shared up to the smaller one
     size, sign = np.abs(errors), np.sign(errors)
     shared = np.minimum(size[:, None, :], size[None, :, :]) ** 2
@@ -186,9 +185,8 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
         for kind in ("statistical", "systematic")
     )
     p_value = None if chi2 is None else float(chdtrc(ndf, chi2))
-    return CommonValue(
-        Uncertain(mean, statistical, systematic), weights, chi2, ndf, p_value=p_value
-    )
+    together = Uncertain(mean, statistical, systematic)
+    return CommonValue(together, weights, chi2, ndf, p_value=p_value)
 
 
 # The error budget: every contribution, what kind it is, and what would reduce it.
@@ -320,9 +318,8 @@ class ErrorBudget:
         for row in self.contributions:
             key = row.origin, row.kind
             together[key] = math.hypot(together.get(key, 0.0), row.relative)
-        return ErrorBudget(
-            tuple(contribution(origin, size, kind) for (origin, kind), size in together.items())
-        )
+        rows = (contribution(origin, size, kind) for (origin, kind), size in together.items())
+        return ErrorBudget(tuple(rows))
 
     def share(self, row: Contribution) -> float:
         """Part of the variance that is this contribution's, 0..1; 0 where nothing has an error."""
@@ -349,8 +346,6 @@ def budget_of(number: Uncertain) -> ErrorBudget:
     Raises ValueError if an origin is not in `ADVICE`.
     """
     kinds: dict[str, Kind] = dict.fromkeys(number.statistical, "statistical")
-    rows = (
-        contribution(origin, relative, kinds.get(origin, "systematic"))
-        for origin, relative in number.relative.items()
-    )
+    parts = number.relative.items()
+    rows = (contribution(origin, part, kinds.get(origin, "systematic")) for origin, part in parts)
     return ErrorBudget(tuple(rows))
