@@ -40,8 +40,7 @@ _PERCENT = re.compile(r"%\s*(?P<after>[A-Za-z].*)|(?P<before>[A-Za-z][^%=\d]*?)\
 def unit_alone(cell: str) -> str | None:
     """The unit that a cell is, such as ``nm``; None where it is none or may be a name."""
     key = _key(cell)
-    bare = key.strip("()[]{}")
-    return None if key in _NOT_ALONE else _UNITS.get(bare)
+    return None if key in _NOT_ALONE else _UNITS.get(key.strip("()[]{}"))
 
 
 def name_and_unit(cell: str) -> tuple[str, str | None]:
@@ -162,9 +161,8 @@ def csv_cells(
     not match.
     """
     try:
-        cells = next(
-            csv.reader([text], delimiter=separator, strict=True, skipinitialspace=skip_blanks)
-        )
+        rows = csv.reader([text], delimiter=separator, strict=True, skipinitialspace=skip_blanks)
+        cells = next(rows)
     except csv.Error as error:
         problem = f"not a CSV line ({error})"
         raise InputError(problem, "check the quotation marks", path=path, line=line) from None
@@ -224,18 +222,12 @@ def separator_of(lines: Sequence[str]) -> str:
     scores = {sign: sum(_is_row(text, sign) for text in tried) for sign in _SEPARATORS}
     best = max(_SEPARATORS, key=scores.__getitem__)
     if not alone and not scores[best]:
-        return _likely_separator(tried)
+        # not one sound row: what a line with a digit first holds
+        spoilt = next((text for text in tried if _SPOILT.match(text.strip(' "\t'))), "")
+        return next((sign for sign in _SEPARATORS[:-1] if sign in spoilt), BLANKS)
     # with commas, a line that is one number may be two columns: rows decide
     alone_leads = alone > scores[best] and best != ","
     return BLANKS if alone_leads or not scores[best] else best
-
-
-def _likely_separator(lines: Sequence[str]) -> str:
-    """The separator in a table without one sound row: one that a line with a digit first holds."""
-    for text in lines:
-        if _SPOILT.match(text.strip(' "\t')):
-            return next((sign for sign in _SEPARATORS[:-1] if sign in text), BLANKS)
-    return BLANKS
 
 
 def _is_row(text: str, separator: str) -> bool:
@@ -260,9 +252,7 @@ def names_of(text: str, separator: str, columns: int) -> list[str] | None:
     if separator == BLANKS and len(cells) != columns:
         cells = _joined(cells)
     named = without_empty_end(cells)
-    if not named or len(named) > columns or len(cells) < columns:
-        return None
-    if any(map(is_number, named)):
+    if not named or len(named) > columns or len(cells) < columns or any(map(is_number, named)):
         return None
     return named + [""] * (columns - len(named))
 

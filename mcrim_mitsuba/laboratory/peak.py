@@ -85,8 +85,7 @@ def fit_peak(
     shapes = (COUNTING, GAUSSIAN) if whole else (GAUSSIAN,)
     data = values, counts, variances
     fits = {name: _fit_shape(*data, place, name, window, below or Below()) for name in shapes}
-    chosen = shape if shape != AUTO else _likely(fits)
-    peak = fits.pop(chosen)
+    peak = fits.pop(shape if shape != AUTO else _likely(fits))
     if peak is None:
         return None
     other = next(iter(fits.values()), None)
@@ -118,11 +117,10 @@ def _check(values: Array, shape: str, window: tuple[float, float] | None, whole:
     if shape not in SHAPES:
         raise InputError(f"'{shape}' is no shape of a peak", did_you_mean(shape, SHAPES))
     if shape == COUNTING and not whole:
-        problem = (
-            "the bins are not of whole photon numbers, and the shape 'counting' counts photons"
+        raise InputError(
+            "the bins are not of whole photon numbers, and the shape 'counting' counts photons",
+            "write one bin for each number of photons, or fit the shape 'gaussian'",
         )
-        mend = "write one bin for each number of photons, or fit the shape 'gaussian'"
-        raise InputError(problem, mend)
     if window is None:
         return
     low, high = window
@@ -157,7 +155,10 @@ def _fit_shape(
         of_counts = None if variances is None else variances[inside]
         return fit_band(values[inside], counts[inside], shape, start, of_counts, below)
 
-    start = _start(shape, place, values)
+    # events, centroid, spread and the background at both ends, as `fit_band` has them
+    events = place.height * place.width * math.sqrt(2 * math.pi) / (values[1] - values[0])
+    spread = place.width if shape == GAUSSIAN else place.width**2 - place.centroid
+    start = np.array([events, place.centroid, spread, place.background, place.background])
     if given is not None:
         only, _, clear = fitted(_inside(values, given), start)
         return only if clear else None
@@ -175,13 +176,6 @@ def _fit_shape(
             break
         peak, start, _ = fitted(window, start)
     return peak
-
-
-def _start(shape: str, place: Found, values: Array) -> Array:
-    """Events, centroid, spread and the background at both ends, as `fit_band` has them."""
-    events = place.height * place.width * math.sqrt(2 * math.pi) / (values[1] - values[0])
-    spread = place.width if shape == GAUSSIAN else place.width**2 - place.centroid
-    return np.array([events, place.centroid, spread, place.background, place.background])
 
 
 # Widths on each side of the centroid that a fit must see.
