@@ -52,9 +52,8 @@ def bench_picture(reading: Reading, values: Mapping[str, Value]) -> dict[str, An
     if not all(name in values for name in _BENCH):
         return None
     wide, tall, gap, n_gap, window, thick = (float(values[name]) for name in _BENCH)
-    per_mm = min(
-        (_WIDTH - 2 * _RIM) / max(wide, window), (_HEIGHT - 2 * _RIM - _GAP) / (tall + gap + thick)
-    )
+    across = (_WIDTH - 2 * _RIM) / max(wide, window)
+    per_mm = min(across, (_HEIGHT - 2 * _RIM - _GAP) / (tall + gap + thick))
     middle, gap_px = _WIDTH / 2, max(gap * per_mm, _GAP)
     foot = _RIM + tall * per_mm
     plate = foot + gap_px
@@ -70,10 +69,8 @@ def bench_picture(reading: Reading, values: Mapping[str, Value]) -> dict[str, An
         box("window", window, plate, thick * per_mm),
         box("detector", window, plate + thick * per_mm, _MASK),
     ]
-    radius, off = (
-        float(values.get(name, absent)) * per_mm
-        for name, absent in (("aperture_radius_mm", window), ("mask_offset_mm", 0.0))
-    )
+    of_mask = (("aperture_radius_mm", window), ("mask_offset_mm", 0.0))
+    radius, off = (float(values.get(name, absent)) * per_mm for name, absent in of_mask)
     plane = box("mask", window, plate - _MASK, _MASK)
     ends = (plane["x"], middle + off - radius), (middle + off + radius, _WIDTH - plane["x"])
     shapes += [plane | {"x": low, "width": high - low} for low, high in ends if low < high]

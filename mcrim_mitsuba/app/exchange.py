@@ -166,9 +166,8 @@ def scene_file(
     campaign: Campaign, effects: Sequence[str], values: Mapping[str, float]
 ) -> tuple[str, bytes]:
     """Name and content of the mended scene."""
-    scene = mended_scene(campaign, effects, rounded(values))
     name = f"{safe_name(campaign.path.stem, '')}_{'mended' if effects else 'as_shown'}.xml"
-    return name, scene_text(scene).encode()
+    return name, scene_text(mended_scene(campaign, effects, rounded(values))).encode()
 
 
 def campaign_archive(

@@ -114,12 +114,10 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
     controls = session.model.live.controls
     # what was undone may know nothing of a number that the readings have now
     values = {**controls.starts, **settings.values}
-    of_controls = {"values": values, "known": controls.known(settings)}
-    panels = {"diagnosis": _diagnosis_panel(session), "fitted": _fits_panel(session)}
     tried = now.diagnosis.candidates if now.diagnosis else ()
     gaining = [candidate for candidate in tried if candidate.delta_chi2 > 1.0]
     document |= {
-        "settings": settings.to_json() | of_controls,
+        "settings": settings.to_json() | {"values": values, "known": controls.known(settings)},
         "readings": [
             attributes(reading, f"label signal sigma use {KIND} {SAMPLE}")
             | {n: reading.parameters.get(n, "") for n in measurements.columns}
@@ -131,7 +129,7 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
             for step, fit in ((step, step.calibration) for step in now.steps)
         ],
         **attributes(history, "can_undo can_redo"),
-        "parts": panels,
+        "parts": {"diagnosis": _diagnosis_panel(session), "fitted": _fits_panel(session)},
         "gains": {c.effect: (c.delta_chi2, f"χ² −{sentences.gain_text(c)}") for c in gaining},
     }
     return plain(document)

@@ -143,9 +143,8 @@ class LiveModel:
         pulled = weights.weigh(statistic.residuals(prediction))
         prediction = prediction.where_off(weights.errors.tolerances, pulled)
         entry = campaign.light_yield if SCALE in campaign.free else None
-        ndf = statistic.ndf + sum(
-            n in knowledge and knowledge[n].how == HELD for n in statistic.names
-        )
+        by_hand = sum(n in knowledge and knowledge[n].how == HELD for n in statistic.names)
+        ndf = statistic.ndf + by_hand
         return Shown(
             rows=fitted_rows(statistic.model, prediction, errors),
             chi2=chi2,

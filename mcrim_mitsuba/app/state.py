@@ -449,9 +449,8 @@ def difference(first: Campaign, campaign: Campaign, settings: Settings, controls
 def _changed_readings(first: Campaign, campaign: Campaign) -> list[str]:
     """Readings that are used or not, or are others, since the campaign was the first, in words."""
     changes = []
-    before, after = (
-        {r.label: r for r in state.measurements.readings} for state in (first, campaign)
-    )
+    tables = first.measurements, campaign.measurements
+    before, after = ({r.label: r for r in table.readings} for table in tables)
     for label in dict.fromkeys((*before, *after)):
         old, new = before.get(label), after.get(label)
         if new is None or not new.use:
@@ -463,9 +462,7 @@ def _changed_readings(first: Campaign, campaign: Campaign) -> list[str]:
         changes += [f"{label} as {new.kind}"] if old.kind != new.kind else []
         if (old.signal, old.sigma) != (new.signal, new.sigma):
             changes.append(f"{label} {new.signal:g} ± {new.sigma:g}")
-        changes += [
-            f"{label} at {said(name, new.parameters[name])}"
-            for name in new.parameters.keys() & old.parameters.keys()
-            if new.parameters[name] != old.parameters[name]
-        ]
+        both = new.parameters.keys() & old.parameters.keys()
+        others = (name for name in both if new.parameters[name] != old.parameters[name])
+        changes += [f"{label} at {said(name, new.parameters[name])}" for name in others]
     return changes

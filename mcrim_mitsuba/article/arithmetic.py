@@ -110,14 +110,13 @@ def ratio_rows() -> Iterator[ArticleRow]:
     """Eq. 5 from the two signals."""
     ratio = article_ratio()
     of_gel, of_air = (100 * n.stated_sigma / n.value for n in (p.SIGNAL_GEL, p.SIGNAL_AIR))
-    printed = from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL)
     yield compare(
         "R = 14.3/24.5, Eq. 5",
         p.RATIO,
         ratio.value,
         sigma=ratio.sigma,
         difference_sigma=0.0,
-        rounding=printed.rounding,
+        rounding=from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL).rounding,
         remark=f"{ratio.value:.4f} ± {ratio.sigma:.4f}: the article cuts digits off "
         "where rounding gives 0.584 ± 0.013",
     )

@@ -170,8 +170,7 @@ def _fit_rows(contradiction: Contradiction) -> Iterator[ArticleRow]:
             f"between them, ±{averaged.catalogue:.2f} for what is in no catalogue; the light "
             "yields of the best four are in the sentences below"
         )
-        sigma = averaged.sigma
-        yield compare(what, p.LIGHT_YIELD, value, sigma=sigma, judged=False, remark=remark)
+        yield compare(what, p.LIGHT_YIELD, value, sigma=averaged.sigma, judged=False, remark=remark)
 
 
 def _predicted() -> float:

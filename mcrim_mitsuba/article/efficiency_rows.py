@@ -212,7 +212,6 @@ def _eta_row(
     remark: str = "",
 ) -> ArticleRow:
     """An efficiency in %; the error `of_ratio` is the article's own, too."""
-    theirs = article_monte_carlo_sigma(eta)
     return compare(
         what,
         paper,
@@ -220,7 +219,7 @@ def _eta_row(
         sigma=100 * math.hypot(of_ratio, monte_carlo),
         systematic=100 * systematic or None,
         rounding=100 * moved,
-        difference_sigma=100 * math.hypot(monte_carlo, systematic, theirs),
+        difference_sigma=100 * math.hypot(monte_carlo, systematic, article_monte_carlo_sigma(eta)),
         remark=remark,
     )
 
@@ -267,8 +266,7 @@ def other_crystal_rows(simulated: Simulated) -> Iterator[ArticleRow]:
     film = f"five faces behind an air film, Lambertian, reflectance {DEFAULT_WRAP_REFLECTANCE:g}"
     remark = f"{film}; {spread}: the article does not say how it wraps"
     what, sizes = "eta of CaMoO4 cube, wrapped, gel, Sec. 6.5", (wrapped.eta, wrapped.eta_sigma)
-    of_wrap = wrapped_spread(simulated)
-    yield _eta_row(what, p.WRAPPED_ETA, *sizes, systematic=of_wrap, remark=remark)
+    yield _eta_row(what, p.WRAPPED_ETA, *sizes, systematic=wrapped_spread(simulated), remark=remark)
 
 
 def wrapped_spread(simulated: Simulated) -> float:

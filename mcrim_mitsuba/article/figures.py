@@ -102,8 +102,7 @@ def draw_efficiency(lines: Sequence[SimulatedLine]) -> style.Drawing:
         colour, marker = _STYLE[line.printed.transmittance_percent.value]
         printed = line.printed.etas_percent[place]
         look: dict[str, Any] = {"fmt": marker, "mec": colour, "ecolor": colour, **_PRINTED}
-        scattering = line.printed.alpha_scat_per_cm.value
-        axes.errorbar(scattering, printed.value, printed.rounding, **look)
+        axes.errorbar(line.printed.alpha_scat_per_cm.value, printed.value, printed.rounding, **look)
         axes.plot(line.alpha_scat.value, 100 * line.etas[place], **_OURS)
     _scattering_axis(axes)
     axes.set_ylim(0, 56)
@@ -169,10 +168,9 @@ def draw_contradiction(
     axes.set_title("the article's model, whatever it scatters", fontsize=11)
     axes.legend(loc="lower left", frameon=False, fontsize=10)
     _draw_explanations(bars, contradiction)
-    columns = ("explanation", "probability", "light_yield_ph_per_keV")
     yields = contradiction.light_yields
     rows = [(name, p, yields.get(name)) for name, p in contradiction.likeliest.items()]
-    return style.Drawing(figure, columns, rows)
+    return style.Drawing(figure, ("explanation", "probability", "light_yield_ph_per_keV"), rows)
 
 
 def _draw_explanations(axes: Axes, contradiction: Contradiction) -> None:

@@ -289,9 +289,8 @@ def compare(
     if isinstance(ours, Uncertain):
         sigma, systematic = ours.statistical_sigma, ours.systematic_sigma
     number = ours.value if isinstance(ours, (Derived, Uncertain)) else ours
-    value, sigma, systematic = (
-        None if part is None else float(part) for part in (number, sigma, systematic)
-    )
+    given = number, sigma, systematic
+    value, sigma, systematic = (None if part is None else float(part) for part in given)
     if difference_sigma is None:
         parts = (paper.sigma if paper else None, sigma, systematic)
         difference_sigma = math.hypot(*(part or 0.0 for part in parts))

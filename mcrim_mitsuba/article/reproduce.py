@@ -136,13 +136,12 @@ def _rows(
 def document_of(result: ArticleResult, figures: Iterable[Path]) -> dict[str, Any]:
     """What ``--json`` writes."""
     errors = "statistical=statistical_sigma systematic=systematic_sigma"
-    fitted = attributes(result.yields.fitted, f"value {errors}")
     return {
         "rows": result.rows,
         "verdict_rule": RULE,
         "monte_carlo_errors": MONTE_CARLO,
         **attributes(result, "agreement inconsistencies open_points"),
-        "light_yield_ph_per_keV": fitted,
+        "light_yield_ph_per_keV": attributes(result.yields.fitted, f"value {errors}"),
         "transmittance": {
             "sentences": contradiction.sentences(result.contradiction),
             **attributes(result.contradiction.diagnosis, "probabilities light_yield_averaged"),

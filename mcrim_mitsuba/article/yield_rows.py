@@ -187,11 +187,10 @@ _SHARE = 1 / 32
 
 def left_out(run: Run) -> tuple[Neglected, ...]:
     """Pieces of physics put into the article's bench one by one, polarisation followed."""
-    photons = max(1, round(_SHARE * run.photons_or(DEFAULT_PHOTONS)))
     campaign = article_campaign(p.NOMINAL.alpha_abs_per_cm.value)
     scene = campaign.scene.with_overrides({"polarization": True})
     crystal = KnownCrystal.of(campaign, _MATERIAL)
-    of_share = replace(run, photons=photons)
+    of_share = replace(run, photons=max(1, round(_SHARE * run.photons_or(DEFAULT_PHOTONS))))
     return NeglectWork(replace(campaign, scene=scene), crystal, of_share).neglected()
 
 

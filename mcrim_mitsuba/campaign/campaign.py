@@ -140,9 +140,8 @@ class Campaign:
 
     def stands_for(self, name: str) -> str:
         """The parameter of the campaign's own crystal that one of a sample is in place of."""
-        return next(
-            (of for s in self.samples.values() for of in s.own if s.named(of) == name), name
-        )
+        shared = (of for s in self.samples.values() for of in s.own if s.named(of) == name)
+        return next(shared, name)
 
     @property
     def light_yields(self) -> dict[str, tuple[str, LightYieldInput]]:
@@ -313,21 +312,19 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
     table = read_table(_sibling(entries, "measurements"), scene.parameters, of_rows)
     document, measurements, raw = reduce_raw_data(document, table, scene)
     of_effects = {p.name for effect in effects.values() for p in effect.parameters}
-    samples, measurements = read_samples(
-        document, scene, measurements, of_effects | {*scene.parameters, EFFICIENCY_FACTOR}
-    )
+    taken = of_effects | {*scene.parameters, EFFICIENCY_FACTOR}
+    samples, measurements = read_samples(document, scene, measurements, taken)
     _refuse_rows_the_scene_cannot_take(scene, measurements)
     sizes = {p.name for of in effects.values() for p in of.parameters if p.nominal is None}
     light = [row.signal for row in measurements.in_use if not row.of_beam]
     effects = {name: effect.beside(np.array(light)) for name, effect in effects.items()}
     tolerances = read_tolerances(document, scene, measurements, sizes)
-    wrong = wrong_numbers(tolerances)
     campaign = Campaign(
         path=document.path,
         scene=scene,
         measurements=measurements,
         effects_folder=folder,
-        catalogue={**effects, **wrong},
+        catalogue={**effects, **wrong_numbers(tolerances)},
         tolerances=tolerances,
         raw=raw,
         beam=_read_beam(document, scene, measurements),
@@ -358,9 +355,8 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
 def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
     """The campaign with all of its parameters, and what turns the scale into a light yield."""
     values, measurements = campaign.values, campaign.measurements
-    owners = {
-        p.name: effect.name for effect in campaign.catalogue.values() for p in effect.parameters
-    }
+    effects = campaign.catalogue.values()
+    owners = {p.name: effect.name for effect in effects for p in effect.parameters}
     for name in document.table("parameters"):
         owner = owners.get(name)
         if owner and owner not in campaign.effects and name not in values:
@@ -389,7 +385,6 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
     own_scales = any(SCALE in sample.own for sample in campaign.samples.values())
     raw = campaign.raw.efficiency if campaign.raw else None
     parts = raw.contributions if raw else None
-    light_yield = read_light_yield(document, detector, own_scales=own_scales, parts=parts)
     # of all efficiencies that this detector has in common
     sigma = math.hypot(detector.relative_sigma, detector.shared_sigma)
     if own_scales and sigma:
@@ -400,7 +395,7 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
         campaign,
         parameters=parameters,
         scale=scale,
-        light_yield=light_yield,
+        light_yield=read_light_yield(document, detector, own_scales=own_scales, parts=parts),
         common_errors=detector.common,
     )
 
@@ -527,8 +522,7 @@ def _words(entries: TomlTable, name: str, longest: int = schema.LONGEST_WORDS) -
     if not words:
         raise entries.refusal(name, f"{name} is empty", "write some words, or remove it")
     if len(words) > longest:
-        problem = f"{name} has {len(words)} characters"
-        raise entries.refusal(name, problem, f"{longest} are enough")
+        raise entries.refusal(name, f"{name} has {len(words)} characters", f"{longest} are enough")
     return words
 
 
@@ -538,9 +532,8 @@ def _folder(entries: TomlTable, trusted: bool) -> Path | None:
     if name not in entries:
         return None
     path = entries.path_of(name, entries[name])
-    refusal = entries.refusal(
-        name, f"{path} is not a folder", "paths are relative to the campaign file"
-    )
+    mend = "paths are relative to the campaign file"
+    refusal = entries.refusal(name, f"{path} is not a folder", mend)
     if not (is_there(path) and path.is_dir()):
         raise refusal
     if trusted:

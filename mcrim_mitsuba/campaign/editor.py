@@ -229,9 +229,8 @@ def _origins(raw: RawData) -> Iterator[str]:
         )
     if raw.absorption is not None:
         slab = raw.absorption
-        measured = _named(raw, (curve.name for curve in slab.spectra)) or ", ".join(
-            f"{pdg(value, slab.transmittance_sigma)}, one number" for value in slab.numbers
-        )
+        numbers = (f"{pdg(value, slab.transmittance_sigma)}, one number" for value in slab.numbers)
+        measured = _named(raw, (curve.name for curve in slab.spectra)) or ", ".join(numbers)
         yield (
             f"alpha_abs_per_cm: transmittance of {slab.thickness_mm:g} mm, {measured}; errors by "
             f"origin: {_parts(slab.contributions)}"
@@ -270,9 +269,8 @@ def _reduced_text(measurements: Measurements, raw: RawData) -> str:
         replace(r, signal=float(f"{r.signal:.{_DIGITS}g}"), sigma=float(f"{r.sigma:.{_DIGITS}g}"))
         for r in measurements.readings
     )
-    return measurements_text(
-        replace(measurements, comments=tuple(comments), readings=tuple(readings))
-    )
+    reduced = replace(measurements, comments=tuple(comments), readings=tuple(readings))
+    return measurements_text(reduced)
 
 
 def measurements_text(measurements: Measurements) -> str:
@@ -315,9 +313,8 @@ def measurement_cells(measurements: Measurements) -> dict[str, list[str]]:
 def table_text(comments: Iterable[str], cells: Mapping[str, Sequence[str]]) -> str:
     """The text of a measurement file, of cells by column."""
     rows = [cells, *zip(*cells.values(), strict=True)]
-    return "".join(_comments(comments)) + "".join(
-        ",".join(map(_quoted, row)) + "\n" for row in rows
-    )
+    lines = (",".join(map(_quoted, row)) + "\n" for row in rows)
+    return "".join([*_comments(comments), *lines])
 
 
 def _quoted(cell: str) -> str:

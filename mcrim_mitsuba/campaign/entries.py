@@ -96,11 +96,10 @@ def _file_or(meaning: str, **limits: float) -> dict[str, Any]:
 
 def _table(meaning: str, *entries: Entries) -> dict[str, Any]:
     """The schema of a table that holds nothing but these entries."""
-    properties = {name: entry for part in entries for name, entry in part.items()}
     return {
         "type": "object",
         "description": meaning,
-        "properties": properties,
+        "properties": {name: entry for part in entries for name, entry in part.items()},
         "additionalProperties": False,
     }
 
@@ -430,9 +429,8 @@ def json_schema() -> dict[str, Any]:
             meaning = f"{parameter.meaning}; parameter of {effect.name}"
             raw = GAMMAS if parameter.name == SOURCE_DEPTH else {}
             parameters[parameter.name] = _table(meaning, PARAMETER, raw)
-    names = {"anyOf": [{"enum": list(effects)}, {"type": "string"}]}
     completed = {
-        "effects": {"items": names},
+        "effects": {"items": {"anyOf": [{"enum": list(effects)}, {"type": "string"}]}},
         "parameters": {
             "properties": parameters,
             "additionalProperties": _table("A scene parameter, in its name's unit", PARAMETER),

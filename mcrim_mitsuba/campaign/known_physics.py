@@ -178,11 +178,8 @@ def with_known_physics(campaign: Campaign) -> Campaign:
     begin, but = f"in the model, as {named}: ", "but not "
     if not words:
         begin, but = f"not in the model, though {named}: ", ""
-    words += [
-        f"{but}{campaign.catalogue[effect].title}: {reason}"
-        for effect, reason in crystal.refused.items()
-        if reason != _IN_THE_MODEL
-    ]
+    refused = {effect: why for effect, why in crystal.refused.items() if why != _IN_THE_MODEL}
+    words += [f"{but}{campaign.catalogue[effect].title}: {why}" for effect, why in refused.items()]
     scene, effects = crystal.put_into(campaign.scene, *crystal.effects), tuple(crystal.effects)
     note = begin + "; ".join(words) if words else ""
     return replace(campaign, scene=scene, known_physics=effects, physics_note=note)

@@ -177,9 +177,8 @@ def read_table(
     comments, lines, separator = _text_of(path)
     header_line, header = lines[0]
     separator = separator or max(",;\t", key=header.count)
-    columns = table_text.without_empty_end(
-        table_text.csv_cells(header, path, header_line, separator, skip_blanks=True)
-    )
+    names = table_text.csv_cells(header, path, header_line, separator, skip_blanks=True)
+    columns = table_text.without_empty_end(names)
     if KIND in columns:
         scene_parameters = {**scene_parameters, **BEAM_PARAMETERS}
     switches = tuple(name for name in columns if name in set(effects))

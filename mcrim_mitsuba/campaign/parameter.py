@@ -139,10 +139,8 @@ def read_parameter(
         raise table.refusal("", f"{name} has no start value", "add start = ...")
     if fixed or ("min" in given and "max" in given):
         usual: tuple[float, float] | None = (-math.inf, math.inf)
-    elif known_range is not None:
-        usual = known_range[1:]
     else:
-        usual = _usual_range(name, in_scene, given)
+        usual = known_range[1:] if known_range is not None else _usual_range(name, in_scene, given)
     if usual is None:
         problem = f"no range of {name} is known"
         raise table.refusal("", problem, "give min and max, or fixed = true")
@@ -168,8 +166,7 @@ def _refuse_what_lies_outside(table: TomlTable, parameter: CampaignParameter) ->
         if parameter.prior_sigma < _ROUNDING * max(abs(prior), abs(start)):
             problem = f"prior_sigma = {parameter.prior_sigma:g} of {name} is lost in rounding"
             raise table.refusal("prior_sigma", problem, "write fixed = true to hold it")
-        outside = max(low - prior, prior - high) / parameter.prior_sigma
-        if outside > _FARTHEST_PRIOR:
+        if max(low - prior, prior - high) / parameter.prior_sigma > _FARTHEST_PRIOR:
             away = f"{prior:g} ± {parameter.prior_sigma:g}, is far outside {low:g}..{high:g}"
             problem = f"the prior of {name}, {away}"
             mend = "check its sign and unit, or give other min and max"
@@ -347,12 +344,10 @@ def read_light_yield(
     if "material" in table:
         with said_by(partial(table.refusal, "material")):
             crystal = material(str(table["material"])).name
-    sigma = sigma or 0.0
+    name, sigma = "detector_efficiency_sigma", sigma or 0.0
     if sigma > efficiency:
-        problem = (
-            f"detector_efficiency_sigma = {sigma:g} is more than the efficiency {efficiency:g}"
-        )
-        raise table.refusal("detector_efficiency_sigma", problem, "write both as parts of 1, not %")
+        problem = f"{name} = {sigma:g} is more than the efficiency {efficiency:g}"
+        raise table.refusal(name, problem, "write both as parts of 1, not %")
     if shared := detector.shared_sigma:
         common = shared * efficiency
         if not own_scales:
@@ -360,7 +355,6 @@ def read_light_yield(
             mend = "remove it: it is a part of detector_efficiency_sigma"
             raise table.refusal(schema.SHARED_SIGMA, problem, mend)
         if common > sigma:
-            name = "detector_efficiency_sigma"
             problem = f"{name} is less than the {100 * shared:g} % that samples share"
             mend = f"it is the whole error: give more than {common:.2g}"
             raise table.refusal(name, problem, mend)
@@ -394,9 +388,8 @@ def read_detector(
     collection, sigma = known.pop(schema.COLLECTION)
     cells, cells_sigma = None, 0.0
     if any(value is not None for value, _ in known.values()):
-        cells, cells_sigma = fired_cells(
-            *(number or 0.0 for pair in known.values() for number in pair)
-        )
+        numbers = (number or 0.0 for pair in known.values() for number in pair)
+        cells, cells_sigma = fired_cells(*numbers)
     of_article = document.content.get(schema.CONVENTION) == schema.ARTICLE
     given = choice(table, schema.EFFICIENCY_OF, schema.DETECTOR)
     usual = schema.IN_WINDOW if of_article else schema.IN_AIR

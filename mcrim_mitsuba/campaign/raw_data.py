@@ -289,9 +289,8 @@ def file_in(table: TomlTable, name: str, given: Any) -> Path:
     """A file that an entry names; raises InputError with the line, if it does not exist."""
     path = table.path_of(name, given)
     if not is_there(inside(path)[0]):
-        problem = f"{path} does not exist"
         mend = look_around(path, "paths are relative to the campaign file")
-        raise table.refusal(name, problem, mend)
+        raise table.refusal(name, f"{path} does not exist", mend)
     return path
 
 

@@ -260,11 +260,8 @@ def reduce_raw_data(
     absorption = raw_data.read_absorption(document, light, scene)
     source_depth = raw_data.read_source_depth(document)
     calibration = read_calibration(document)
-    mountings = {
-        row.line: _mounting(table, row, shape, below, calibration)
-        for row in table.readings
-        if row.histogram is not None
-    }
+    raw_rows = (row for row in table.readings if row.histogram is not None)
+    mountings = {row.line: _mounting(table, row, shape, below, calibration) for row in raw_rows}
     readings, reduced = [], {}
     for label, rows in table.by_label.items():
         reading = rows[0]

@@ -116,10 +116,8 @@ def read_samples(
                 problem = f"{name} is fitted, and the sample {sample.name} has its own"
                 mend = f"remove it here, or [parameters.{name}]"
                 raise document.refusal(f"{key}.{schema.SAMPLE_SCENE}.{name}", problem, mend)
-    return samples, replace(
-        measurements,
-        readings=tuple(_completed(reading, samples, scene) for reading in measurements.readings),
-    )
+    readings = tuple(_completed(reading, samples, scene) for reading in measurements.readings)
+    return samples, replace(measurements, readings=readings)
 
 
 def _completed(reading: Reading, samples: Mapping[str, Sample], scene: SceneFile) -> Reading:

@@ -212,11 +212,8 @@ def _refuse_name(table: TomlTable, name: str, scene: SceneFile, known: Collectio
 
 def _room(rows: Sequence[Mapping[str, Value]]) -> Room:
     """Where numbers must stay so that light is born inside the crystal, in all rows."""
-    born = [
-        (float(row[SOURCE_Z]), float(row[HEIGHT]))
-        for row in rows
-        if {SOURCE_Z, HEIGHT} <= row.keys()
-    ]
+    with_place = (row for row in rows if {SOURCE_Z, HEIGHT} <= row.keys())
+    born = [(float(row[SOURCE_Z]), float(row[HEIGHT])) for row in with_place]
     if not born:
         return {}
     places, heights = zip(*born, strict=True)

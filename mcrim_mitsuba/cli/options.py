@@ -524,9 +524,8 @@ def _command() -> dict[str, Any]:
     context = click.get_current_context()
     variant = context.params.get("variant") or DEFAULT_VARIANT
     effects = modules_of(BUILT_IN.values())
-    given = list((context.find_root().obj or {}).get("arguments", ()))
     arguments, skip, own_options = [], False, ("--unit", "--units", "--log")
-    for word in given:
+    for word in (context.find_root().obj or {}).get("arguments", ()):
         if skip or word in own_options:
             skip = not skip
         elif word.partition("=")[0] not in own_options:

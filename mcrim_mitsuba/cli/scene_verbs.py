@@ -340,8 +340,7 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **lists
     screen.say_notes(notes)
     words = {ALPHA_SCAT: "alpha_scat {} /cm", ALPHA_ABS: "alpha_abs {} /cm"}
     words |= {name: f"{name} {{}}" for name in lists if name not in words}
-    in_words = (words[n].format(_abbreviated(lists[n])) for n in words if n in lists)
-    screen.line("; ".join(in_words))
+    screen.line("; ".join(words[n].format(_abbreviated(lists[n])) for n in words if n in lists))
     with work.begin() as run:
         tabulated = mcrim.table(file, run=run, method=method, **lists)
     drawn = tabulated.draw(figure) if figure else ()

@@ -115,18 +115,14 @@ def read_data_table(
     _check_below(lines[last:], columns)
     if separator == ",":
         _refuse_uncertain_commas(rows, names, path)
-    values = _numbers(rows, columns)
-    comments = tuple(
-        _bare(line.text)
-        for line in lines
-        if line.kind in (COMMENTED, TEXT) and line.number not in header
-    )
+    words = (line for line in lines if line.kind in (COMMENTED, TEXT))
+    comments = tuple(_bare(line.text) for line in words if line.number not in header)
     return DataTable(
         path,
         comments,
         names,
         units,
-        values=values,
+        values=_numbers(rows, columns),
         lines=np.array([row.number for row in rows]),
         roles=roles,
     )
@@ -158,9 +154,8 @@ def _names(
     )
     if of_units and len(rows) > 1 and rows[1] is not None:
         named = [table_text.name_and_unit(cell) for cell in rows[1]]
-        units = tuple(
-            unit or unit_of_name for unit, (_, unit_of_name) in zip(alone, named, strict=True)
-        )
+        pairs = zip(alone, named, strict=True)
+        units = tuple(unit or unit_of_name for unit, (_, unit_of_name) in pairs)
         used = above
     else:
         named = [table_text.name_and_unit(cell) for cell in rows[0]]
@@ -178,15 +173,14 @@ def _refuse_uncertain_commas(rows: list[_Line], names: Sequence[str] | None, pat
                 problem = f"{shown(cell)} begins with 0, as after a decimal comma"
                 raise InputError(problem, EXPORT, path=path, line=row.number)
     columns = len(rows[0].cells)
-    if columns > 2 and names is None:
-        if all(_WHOLE.fullmatch(cell) for row in rows for cell in row.cells):
-            raise InputError(
-                f"{shown(rows[0].text)} may be {columns} whole numbers, or fewer with decimal "
-                "commas",
-                f"name the {columns} columns in a line above, or {EXPORT}",
-                path=path,
-                line=rows[0].number,
-            )
+    unnamed = columns > 2 and names is None
+    if unnamed and all(_WHOLE.fullmatch(cell) for row in rows for cell in row.cells):
+        raise InputError(
+            f"{shown(rows[0].text)} may be {columns} whole numbers, or fewer with decimal commas",
+            f"name the {columns} columns in a line above, or {EXPORT}",
+            path=path,
+            line=rows[0].number,
+        )
 
 
 def _numbers(rows: list[_Line], columns: _Columns) -> NDArray[np.float64]:

@@ -66,9 +66,7 @@ class InputError(ValueError):
 
 def _cut(text: str, longest: int = _LONGEST) -> str:
     """A text without its middle, where it is long."""
-    if len(text) <= longest:
-        return text
-    return f"{text[: longest // 2]} … {text[-longest // 3 :]}"
+    return text if len(text) <= longest else f"{text[: longest // 2]} … {text[-longest // 3 :]}"
 
 
 @contextlib.contextmanager

@@ -157,9 +157,7 @@ def value_text(value: object) -> str:
         return "true" if value else "false"
     if isinstance(value, numbers.Integral):
         return str(int(value))
-    if isinstance(value, numbers.Real):
-        return repr(float(value))
-    return str(value)
+    return repr(float(value)) if isinstance(value, numbers.Real) else str(value)
 
 
 # What a scene parameter's value can be, judged by its name and unit.

@@ -105,8 +105,7 @@ def _effects_of(folder: Path) -> Iterator[tuple[Effect, _Place]]:
 def exclude_each_other(effects: list[Effect]) -> tuple[str, str] | None:
     """The first two names that cannot be together; None if all can."""
     names = [effect.name for effect in effects]
-    pairs = ((e.name, other) for e in effects for other in names if other in e.excludes)
-    return next(pairs, None)
+    return next(((e.name, other) for e in effects for other in names if other in e.excludes), None)
 
 
 def _execute(path: Path) -> tuple[Effect, int]:

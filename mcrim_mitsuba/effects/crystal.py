@@ -174,10 +174,8 @@ def edit_spectral_scattering(editor: SceneEditor) -> None:
 
 def colours_in_band(values: Values, parameters: Parameters) -> tuple[np.ndarray, np.ndarray]:
     """Parts of the light, and their scattering over that at the band's maximum."""
-    maximum, width = (
-        float(parameters.get(name, usual))
-        for name, usual in ((WAVELENGTH, USUAL_NM), (_BANDWIDTH, USUAL_WIDTH_NM))
-    )
+    of_band = ((WAVELENGTH, USUAL_NM), (_BANDWIDTH, USUAL_WIDTH_NM))
+    maximum, width = (float(parameters.get(name, usual)) for name, usual in of_band)
     return scattering_of_colours(values[_EXPONENT], maximum, width)
 
 

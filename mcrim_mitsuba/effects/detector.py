@@ -40,9 +40,8 @@ def edit_photocathode_film(editor: SceneEditor) -> None:
     set_detector(editor, "cathode_nm", "$cathode_nm", sends_back=True)
     set_detector(editor, WAVELENGTH, wavelength_of(editor))
     for detector in editor.detectors:
-        editor.insert_last(
-            detector, f'<float name="window_index" value="{editor.index_before(detector)}"/>'
-        )
+        index = editor.index_before(detector)
+        editor.insert_last(detector, f'<float name="window_index" value="{index}"/>')
 
 
 PHOTOCATHODE_FILM = Effect(

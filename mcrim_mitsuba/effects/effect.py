@@ -189,15 +189,13 @@ class EffectParameter:
 
     def beside(self, signals: np.ndarray) -> EffectParameter:
         """It with what is possible and plausible beside readings of light, (readings,) float64."""
-        bounds, usual = (self.minimum, self.maximum), self.plausible
+        low, high, usual = self.minimum, self.maximum, self.plausible
         if self.range_beside is not None:
-            bounds = self.range_beside(signals)
+            low, high = self.range_beside(signals)
         if self.plausible_beside is not None:
             usual = self.plausible_beside(signals)
-        least, most, start = np.clip([*usual, self.start], *bounds).tolist()
-        return replace(
-            self, minimum=bounds[0], maximum=bounds[1], plausible=(least, most), start=start
-        )
+        least, most, start = np.clip([*usual, self.start], low, high).tolist()
+        return replace(self, minimum=low, maximum=high, plausible=(least, most), start=start)
 
     def comment(self) -> str:
         """The words beside its ``<default>``: meaning, unit, range."""
@@ -341,8 +339,7 @@ class Effect:
         """A parameter that the effect needs and that a scene's, or a campaign's, lack."""
         nominal = (p.nominal for p in self.parameters if p.nominal is not None)
         needed = (*nominal, *self.needs, *(["n_gap"] if self.filled_only else []))
-        numbers = (name for name in needed if not isinstance(parameters.get(name), float))
-        return next(numbers, None)
+        return next((name for name in needed if not isinstance(parameters.get(name), float)), None)
 
     def beside(self, signals: np.ndarray) -> Effect:
         """The effect beside readings of light that are in use, (readings,) float64.

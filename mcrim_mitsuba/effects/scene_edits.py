@@ -343,8 +343,7 @@ def split_panel(
     assert transform is not None  # the face was found by it
     parts = [numbers.format(kept[1]), editor.source(transform), *worn]
     parts = parts if trim is None else [editor.source(trim), *parts]
-    xml = element(f'shape type="panel" id="{name}"', parts)
-    editor.insert_after(face, comment + xml)
+    editor.insert_after(face, comment + element(f'shape type="panel" id="{name}"', parts))
 
 
 def worn_towards_air(editor: SceneEditor, shapes: list[Node], what: str) -> str:

@@ -272,10 +272,8 @@ def weight_mask_on_detector(columns: Columns, values: Values, parameters: Parame
 
 def there_mask_on_detector(scene: SceneFile) -> bool:
     """Whether a scene has it."""
-    return any(
-        bsdf.get("type") == "aperture" and bsdf.find("bsdf[@type='photodetector']") is not None
-        for bsdf in scene.root.iter("bsdf")
-    )
+    masks = (bsdf for bsdf in scene.root.iter("bsdf") if bsdf.get("type") == "aperture")
+    return any(mask.find("bsdf[@type='photodetector']") is not None for mask in masks)
 
 
 APERTURE_AT_DETECTOR = Effect(

@@ -213,10 +213,8 @@ def combined_photons(peaks: Sequence[tuple[Histogram, Peak]]) -> tuple[Repeated,
     noises = [background_noise(*peak) for peak in peaks]
     values = [photons_of(*peak) for peak in peaks]
     # the background's part is less than the whole, but for rounding
-    own = [
-        math.sqrt(max(sigma**2 - float(noise @ noise), (_OWN * sigma) ** 2))
-        for (_, sigma), noise in zip(values, noises, strict=True)
-    ]
+    both = ((sigma, noise @ noise) for (_, sigma), noise in zip(values, noises, strict=True))
+    own = [math.sqrt(max(sigma**2 - float(part), (_OWN * sigma) ** 2)) for sigma, part in both]
     combined, noise = combine([value for value, _ in values], own), np.mean(noises, axis=0)
     whole = math.hypot(combined.sigma, float(np.linalg.norm(noise)))
     return replace(combined, sigma=whole), combined.sigma, noise
@@ -236,9 +234,8 @@ def calibrated(
         pedestal = fit_pedestal(spectrum.channels, spectrum.counts)
         main = main_peak(spectrum.channels, spectrum.counts)
         if pedestal is None or main is None or main.centroid - main.width < pedestal.position:
-            problem = "no pedestal stands out at the low end"
             mend = 'give it under [calibration]: pedestal = 120, or a run: pedestal = "dark.csv"'
-            raise InputError(problem, mend, path=spectrum.path)
+            raise InputError("no pedestal stands out at the low end", mend, path=spectrum.path)
     counts, background, ratio = spectrum.counts, None, 0.0
     if calibration.background is not None:
         ratio = _live_times(spectrum, calibration.background)

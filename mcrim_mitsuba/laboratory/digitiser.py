@@ -59,14 +59,10 @@ def read_channels(path: str | Path) -> ChannelSpectrum:
     if suffix not in INSTRUMENTS:
         read = read_histogram(path, channels=True)
         times = [match[1] for words in read.comments if (match := _LIVE_TIME.search(words))]
-        live_time_s = _checked_time(path, float(times[0])) if times else None
-        spectrum = ChannelSpectrum(
-            path, read.comments, read.photons, read.counts, live_time_s=live_time_s
-        )
-    elif suffix == _ROOT:
-        spectrum = _of_root(path, named)
+        live = _checked_time(path, float(times[0])) if times else None
+        spectrum = ChannelSpectrum(path, read.comments, read.photons, read.counts, live_time_s=live)
     else:
-        spectrum = _of_instrument(path)
+        spectrum = _of_root(path, named) if suffix == _ROOT else _of_instrument(path)
     if not spectrum.counts.any():
         raise InputError("all channels are empty", "name another file", path=path)
     return spectrum
@@ -107,9 +103,8 @@ def _of_instrument(path: Path) -> ChannelSpectrum:
     live_time_s, real_time_s = float(spectra[0].liveTime()), float(spectra[0].realTime())
     said = live_time_s > 0 or real_time_s > 0
     comments, channels = (str(spectra[0].title()),), np.arange(float(len(counts)))
-    whole = _whole(path, counts)
     live = _checked_time(path, live_time_s) if said else None
-    return ChannelSpectrum(path, comments, channels, whole, live_time_s=live)
+    return ChannelSpectrum(path, comments, channels, _whole(path, counts), live_time_s=live)
 
 
 def _of_root(path: Path, wanted: str) -> ChannelSpectrum:

@@ -80,10 +80,9 @@ def lines_of(histogram: Histogram, energies_keV: Sequence[float]) -> tuple[Line,
         problem = f"{len(peaks)} peaks stand out, but none at the ratios of {listed} keV"
         raise InputError(problem, "name the lines that are in sight", path=histogram.path)
     fitted = [_fitted(histogram, place, width) for place, width, _ in found]
-    values = [photons_of(histogram, peak) for peak in fitted]
     gain = histogram.calibration.gain.fit if isinstance(histogram, CalibratedHistogram) else None
     excess = gain.excess_noise_factor - 1.0 if gain is not None else 0.0
-    photons, sigmas = np.array(values).T
+    photons, sigmas = np.array([photons_of(histogram, peak) for peak in fitted]).T
     relative = photons / energies / (photons[-1] / energies[-1])
     shared = np.where(np.arange(len(energies)) < len(energies) - 1, sigmas[-1] / photons[-1], 0.0)
     relative_sigmas = relative * np.sign(shared) * np.hypot(sigmas / photons, shared)
@@ -131,7 +130,6 @@ def intrinsic_width(lines: Sequence[Line]) -> tuple[Width, float] | None:
     squares = np.array([width.fwhm**2 for width in widths]) / FWHM**2
     sigmas = np.array([2.0 * width.fwhm * width.sigma for width in widths]) / FWHM**2
     per_photon = [1.0 / line.peak.centroid for line in lines]
-    (counted, intrinsic), covariance = np.polyfit(
-        per_photon, squares, 1, w=1.0 / sigmas, cov="unscaled"
-    )
+    line = np.polyfit(per_photon, squares, 1, w=1.0 / sigmas, cov="unscaled")
+    (counted, intrinsic), covariance = line
     return width_of(max(intrinsic, 0.0), math.sqrt(covariance[1, 1])), float(counted)

@@ -211,9 +211,7 @@ _ROUNDING = 1e-9
 def _own_part(value: float, sigma: float, shared: float) -> float | None:
     """What is left of an error without its shared part, a relative one; None if that is larger."""
     common = shared * value
-    if common > sigma * (1 + _ROUNDING):
-        return None
-    return math.sqrt(max(sigma**2 - common**2, 0.0))
+    return None if common > sigma * (1 + _ROUNDING) else math.sqrt(max(sigma**2 - common**2, 0.0))
 
 
 def _known(

@@ -33,10 +33,7 @@ from mcrim_mitsuba.laboratory.columns import lowest_peak
 from mcrim_mitsuba.laboratory.peak_band import LEAST_P, fit_band
 from mcrim_mitsuba.laboratory.peak_shapes import GAUSSIAN
 
-_PARAMETERS = (
-    *("events", "mean", "pedestal", "noise", "gain", "spread", "lam"),
-    *("after", "decay"),
-)
+_PARAMETERS = ("events", "mean", "pedestal", "noise", "gain", "spread", "lam", "after", "decay")
 #: Of what silicon has besides; afterpulses are tried where a fit without is bad, and kept where
 #: they lower chi2 by so much.
 _CROSSTALK = ("lam",)
@@ -364,13 +361,11 @@ def gain_by_excess_noise(
     if not charge > 0 or not variance > noise:
         problem = "the flashes are no larger or no wider than the pedestal"
         raise InputError(problem, "give another pedestal, or flashes of more light")
-    fourth = float(average(deviations**4))
     charge_sigma = math.hypot(math.sqrt(variance / events), pedestal.sigma)
-    variance_sigma = math.sqrt(max(fourth - variance**2, 0.0) / events)
+    variance_sigma = math.sqrt(max(float(average(deviations**4)) - variance**2, 0.0) / events)
     gain = (variance - noise) / (charge * factor)
-    relative = math.hypot(
-        variance_sigma / (variance - noise), charge_sigma / charge, factor_sigma / factor
-    )
+    parts = variance_sigma / (variance - noise), charge_sigma / charge, factor_sigma / factor
+    relative = math.hypot(*parts)
     return SinglePhotoelectrons(
         gain,
         gain * relative,

@@ -128,9 +128,8 @@ def _curve(
     the index may be unknown.
     """
     nm, readings = transmittance.wavelength_nm, transmittance.values
-    problem = f"no light gets through the sample at {inside_nm:g} nm"
     mend = "measure a thinner sample, or subtract the right dark signal"
-    opaque = transmittance.refusal(problem, mend)
+    opaque = transmittance.refusal(f"no light gets through the sample at {inside_nm:g} nm", mend)
     if not transmittance.at(inside_nm) > 0:
         raise opaque
     # from the last point at or before the emission's beginning to the first at or behind its end

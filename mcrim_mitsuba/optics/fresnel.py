@@ -101,9 +101,8 @@ def trapped_fraction(n: ArrayLike) -> Array:
     """
     # a hair of tolerance: sqrt(2) itself is valid and is not exact in floating point
     if not np.all(np.asarray(n) >= np.sqrt(2) * (1 - 1e-12)):
-        problem = f"the relative index {np.min(n):g} is below sqrt(2) = 1.414"
         mend = (
             "the escape cones overlap there and the trapped light has no closed form: simulate it"
         )
-        raise InputError(problem, mend)
+        raise InputError(f"the relative index {np.min(n):g} is below sqrt(2) = 1.414", mend)
     return 1 - 6 * escape_fraction(n)

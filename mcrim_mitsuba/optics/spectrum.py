@@ -147,9 +147,8 @@ def detected_light(emission: Spectrum, quantum_efficiency: Spectrum) -> Spectrum
     """
     nm = np.union1d(emission.wavelength_nm, quantum_efficiency.wavelength_nm)
     nm = nm[(emission.first_nm <= nm) & (nm <= emission.last_nm)]
-    efficiency = np.interp(
-        nm, quantum_efficiency.wavelength_nm, quantum_efficiency.values, left=0.0, right=0.0
-    )
+    points = quantum_efficiency.wavelength_nm, quantum_efficiency.values
+    efficiency = np.interp(nm, *points, left=0.0, right=0.0)
     return Spectrum(nm, emission.at(nm) * efficiency, name=emission.name)
 
 

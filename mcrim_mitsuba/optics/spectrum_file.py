@@ -302,9 +302,8 @@ def _columns(table: DataTable) -> tuple[int, int, int | None]:
 def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
     """Refuse a column that its name, unit or a comment calls something else than is wanted."""
     name = table.names[value] if table.names else ""
-    foreign = _FOREIGN[kind].search(name)
     wanted, mend = _WANTED[kind]
-    if foreign is not None:
+    if _FOREIGN[kind].search(name):
         problem = f"{wanted} is wanted, and '{name}' is something else"
         raise table.refusal(None, value, problem, f"name the right file, or give {mend}")
     if kind == "transmittance" and not _TRANSMITTANCE.search(name):

@@ -73,9 +73,8 @@ def draw_budget(calibration: Calibration) -> style.Drawing:
     figure = style.canvas(max(_BUDGET_WIDE * across + 1.3, 7.2), _HIGH * down + 0.9)
     for axes, (name, estimate) in zip(style.panels(figure, len(fitted), "x"), fitted, strict=True):
         _draw_contributions(axes, name, estimate)
-    style.legend_of(
-        figure, [Patch(label=kind, **bar) for kind, bar in BARS.items()], "lower center", 3
-    )
+    handles = [Patch(label=kind, **bar) for kind, bar in BARS.items()]
+    style.legend_of(figure, handles, "lower center", 3)
     return style.Drawing(figure, columns, rows)
 
 

@@ -202,8 +202,7 @@ class RepairResult(FittedResult, Diagnosis):
         """The result of a repair; `further` are fields of a subclass, and such as differ."""
         names = "effects campaign_path scene_path undetermined calibration=fit provenance "
         names += " ".join(f"{of_fit}=fit.{of_fit}" for of_fit in _OF_MENDED_FIT)
-        fields = attributes(repaired, names)
-        return cls.of(repaired.diagnosis, campaign, **fields | further)
+        return cls.of(repaired.diagnosis, campaign, **attributes(repaired, names) | further)
 
     @property
     def mended_fit(self) -> Calibration | None:

@@ -426,10 +426,8 @@ def _costs_alone(lines: np.ndarray, middle: float, size: float) -> np.ndarray:
     """What speaks against each line: far from y = `middle`, much that is hidden, too short."""
     begin, end, owner = _segments(lines)
     steps = end - begin
-    length, seen = (
-        np.bincount(owner, np.linalg.norm(part, axis=1), len(lines))
-        for part in (steps, steps[:, ::2])
-    )
+    lengths = (np.linalg.norm(part, axis=1) for part in (steps, steps[:, ::2]))
+    length, seen = (np.bincount(owner, of_steps, len(lines)) for of_steps in lengths)
     aside = np.nanmax(np.abs(lines[..., 1] - middle), axis=1) / size
     # a path that ends where it began has no length
     hidden = 1.5 * (1.0 - seen / np.maximum(length, 1e-9 * size))

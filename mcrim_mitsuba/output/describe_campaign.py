@@ -208,9 +208,8 @@ def fitted_readings(
 
     Suspects, by their labels, are to be looked at first.
     """
-    columns = (*_READING, *(further or [_ETA]))
     looks = {"strong": lambda row: row.label in suspects, "weak": lambda row: not row.use}
-    return records("readings", columns, rows, **looks)
+    return records("readings", (*_READING, *(further or [_ETA])), rows, **looks)
 
 
 def compared_readings(comparison: Comparison) -> Table:
@@ -780,9 +779,8 @@ def _totals(errors: Budget) -> Iterator[Piece]:
     if [cell.text for cell in as_fitted] != [cell.text for cell in lasting]:
         columns["and what is left out for good"] = lasting
     if corrected:
-        columns["corrected"] = [
-            _two_digits(t.corrected, t.corrected_sigma) for t in totals.values()
-        ]
+        numbers = ((t.corrected, t.corrected_sigma) for t in totals.values())
+        columns["corrected"] = [_two_digits(value, sigma) for value, sigma in numbers]
     rows = zip(map(_title, totals), *columns.values(), strict=True)
     yield table("results, with all errors", ["quantity", *columns], rows)
     yield sentences.which_eta(errors.fit)
@@ -893,7 +891,6 @@ def of_plan(planning: Planning) -> Description:
     )
     assumed = planning.conditions
     now, undetermined = planning.so_far, "; ".join(map(planning.name, planning.undetermined))
-    so_far = f"The readings so far count: light yield to {percent(now.total)}" if now else ""
     sets = sorted(planning.floors.items(), key=lambda floor: (len(floor[0]), floor[1].total))
     beats = "plans that no cheaper one beats (relative errors)"
     efficient = planning.efficient[-_MOST_PLANS:]
@@ -902,7 +899,7 @@ def of_plan(planning: Planning) -> Description:
         "plan of a measurement",
         f"At the campaign's solution: {solution}",
         records("what would be measured", signals, planning.candidates),
-        so_far,
+        f"The readings so far count: light yield to {percent(now.total)}" if now else "",
         records(left, floors, sets[:_MOST_PLANS]),
         f"and {len(sets) - _MOST_PLANS} larger sets" if len(sets) > _MOST_PLANS else "",
         records(beats, plans, efficient, strong=lambda plan: plan is planning.cheapest),

@@ -319,9 +319,8 @@ def rich_tables(given: Table, width: int) -> Iterator[RichTable]:
     given = given.seen
     lines = [[column.title for column in given.columns]]
     lines += [[cell.text for cell in line.cells] for line in (*given.rows, *given.sums)]
-    columns = [
-        [visible(content, keep="\n") for content in texts] for texts in zip(*lines, strict=True)
-    ]
+    turned = zip(*lines, strict=True)
+    columns = [[visible(content, keep="\n") for content in texts] for texts in turned]
     usual, least = [], []
     for at, (column, (head, *cells)) in enumerate(zip(given.columns, columns, strict=True)):
         widest = max((cell_len(part) for c in cells for part in c.split("\n")), default=0)

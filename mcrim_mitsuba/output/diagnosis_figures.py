@@ -96,9 +96,8 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
     )
     # these have a name and a probability alone
     probabilities, empty = diagnosis.probabilities, [None] * (len(columns) - 3)
-    rows += [
-        (name, False, probabilities[name], *empty) for name in NO_EFFECTS if name in probabilities
-    ]
+    others = (name for name in NO_EFFECTS if name in probabilities)
+    rows += [(name, False, probabilities[name], *empty) for name in others]
     return columns, rows
 
 
@@ -126,17 +125,14 @@ def _rows(diagnosis: Diagnosis) -> list[list[_Row]]:
 
     def title(causes: Sequence[str]) -> str:
         titles = (diagnosis.titles.get(cause, NO_EFFECTS.get(cause, cause)) for cause in causes)
-        lines = (style.in_lines(t, _LETTERS, 2) for t in titles)
-        return capital("\n+ ".join(lines))
+        return capital("\n+ ".join(style.in_lines(t, _LETTERS, 2) for t in titles))
 
     def row(candidate: Candidate) -> _Row:
         p = probabilities.get(candidate.effect)
         return _Row(title(candidate.effects), p, candidate in leading, candidate)
 
-    singles, pairs = (
-        list(map(row, likeliest_first(diagnosis, tried)))
-        for tried in (diagnosis.candidates, diagnosis.pairs)
-    )
+    tried = diagnosis.candidates, diagnosis.pairs
+    singles, pairs = (list(map(row, likeliest_first(diagnosis, kind))) for kind in tried)
     del pairs[MOST_PAIRS:]
     for name, words in NO_EFFECTS.items():
         p = probabilities.get(name)
@@ -170,10 +166,8 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
         return style.Drawing(figure, *numbers)
     # a row is as high as its effects, and its sizes, have lines
     table = [_beside(row, brief) for row in rows]
-    further_lines = [
-        max(text.count("\n") for text in (row.name, *texts))
-        for row, texts in zip(rows, table, strict=True)
-    ]
+    whole = ((row.name, *texts) for row, texts in zip(rows, table, strict=True))
+    further_lines = [max(text.count("\n") for text in texts) for texts in whole]
     heights = 1 + _FURTHER_LINE * np.array(further_lines)
     edges = np.cumsum([0.0, *heights])
     places = edges[1:] - heights / 2
@@ -262,15 +256,13 @@ def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
 def _title_ranking(figure: Figure, diagnosis: Diagnosis) -> None:
     baseline = diagnosis.baseline
     fit = f"χ² = {number(baseline.chi2)}, ndf {baseline.ndf}, {p_equals(baseline.p_value)}"
-    title = f"{short_headline(diagnosis)}; without any effect {fit}"
-    style.entitle(figure, title)
+    style.entitle(figure, f"{short_headline(diagnosis)}; without any effect {fit}")
 
 
 def _handles(leading: int, threshold: bool) -> list[Artist]:
     """The legend's entries: what bars mean by their colours, and what the dashed line is."""
-    others = "others" if leading else "effects"
     handles: list[Artist] = [
-        Patch(facecolor=_OTHERS, edgecolor=style.DARK, label=others),
+        Patch(facecolor=_OTHERS, edgecolor=style.DARK, label="others" if leading else "effects"),
         Line2D([], [], color=style.WARM, lw=1.5, marker="|", ms=8, label="simulation's error"),
     ]
     if leading:
@@ -414,8 +406,7 @@ def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     else:
         axes.set_ylim(bottom=0)
-    title = "χ² per degree of freedom (band: 1 ± √(2/ndf))"
-    axes.set_title(title, loc="left", fontsize=11)
+    axes.set_title("χ² per degree of freedom (band: 1 ± √(2/ndf))", loc="left", fontsize=11)
 
 
 def _stairs(

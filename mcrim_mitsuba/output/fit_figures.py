@@ -75,9 +75,8 @@ def draw_comparison(
     of the signals of light, the measurement file's where it is not known.
     """
     # of several suspicions on one reading the first, which is the strongest
-    suspects = {
-        label: suspect.kind for suspect in _suspects(before)[::-1] for label in suspect.labels
-    }
+    weakest_first = _suspects(before)[::-1]
+    suspects = {label: suspect.kind for suspect in weakest_first for label in suspect.labels}
     if (series := _series_of(before)) is not None:
         figure = _draw_along(series, before, after, unit)
         return style.Drawing(figure, *_comparison_numbers(before, after, suspects))

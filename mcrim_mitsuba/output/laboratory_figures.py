@@ -417,10 +417,8 @@ def draw_raw_data(raw: RawData, kind: str) -> style.Drawing:
 
 
 def _fitted(label: str, mounting: Mounting) -> FittedHistogram:
-    name = mounting.file.name
-    return FittedHistogram(
-        name if mounting.use else f"{name} (not used)", mounting.histogram, mounting.peak, label
-    )
+    name = mounting.file.name + ("" if mounting.use else " (not used)")
+    return FittedHistogram(name, mounting.histogram, mounting.peak, label)
 
 
 @style.styled

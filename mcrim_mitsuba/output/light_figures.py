@@ -309,9 +309,8 @@ def draw_times(times: ArrivalTimes) -> style.Drawing:
     # rows of the histogram, then of the first photons: either kind leaves the other's columns empty
     of_bin = dict.fromkeys(("time_ps", "part", "part_sigma"))
     names = "mean_ps mean_ps_sigma rms_ps rms_ps_sigma".split()
-    rows: list[Sequence[object]] = [
-        (*row, *[None] * len(("born", "photon", *names))) for row in times.rows
-    ]
+    of_photon = [None] * len(("born", "photon", *names))
+    rows: list[Sequence[object]] = [(*row, *of_photon) for row in times.rows]
     for photons in times.first:
         cells = {"born": photons.born, "photon": range(1, len(photons.mean_ps) + 1)}
         values = {name: getattr(photons, name) for name in names}
@@ -336,9 +335,8 @@ _HEIGHT = 0.56
 def draw_fates(lights: Lights) -> style.Drawing:
     """Which fates light meets, one bar per configuration from top to bottom."""
     figure, axes = style.axes_of(9.6, 1.75 + 0.95 * len(lights), lines="x")
-    shown = style.ordered(
-        fate for _, light in lights for fate, share in light.budget.items() if 100 * share >= _LEAST
-    )
+    fates = (part for _, light in lights for part in light.budget.items())
+    shown = style.ordered(fate for fate, share in fates if 100 * share >= _LEAST)
     for row, (_, light) in enumerate(lights):
         _draw_bar(axes, row, light, shown)
     names = [f"{style.in_lines(n)}\nη = {pdg(x.eta, x.eta_sigma)}" for n, x in lights]
@@ -429,17 +427,14 @@ def draw_table(tabulated: EtaTable) -> style.Drawing:
         return style.sentence_instead(words, (tabulated.columns, table_rows))
     place = list(tabulated.axes).index(along)
     # (lines, points)
-    etas, sigmas = (
-        np.moveaxis(values, place, -1).reshape(lines, -1)
-        for values in (tabulated.eta, tabulated.eta_sigma)
-    )
+    both = tabulated.eta, tabulated.eta_sigma
+    etas, sigmas = (np.moveaxis(grid, place, -1).reshape(lines, -1) for grid in both)
     figure, axes = style.axes_of(7.2, 4.8)
     values = tabulated.axes[along]
     numeric = not any(isinstance(value, str | bool) for value in values)
     # what is no number, such as a material, stands evenly
     places = values if numeric else range(len(values))
-    combinations = product(*(tabulated.axes[name] for name in others))
-    for line, combination in enumerate(combinations):
+    for line, combination in enumerate(product(*(tabulated.axes[name] for name in others))):
         colour = str(0.75 * line / lines) if lines > 4 else _COLOURS[line]
         look: dict[str, Any] = {"marker": _MARKERS[line], "ms": 5, "lw": 1.2, "color": colour}
         label = ", ".join(map(said, others, combination))

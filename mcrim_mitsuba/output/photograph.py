@@ -245,8 +245,7 @@ def label_parts(
     heights *= size
     tops = [target[1] - 0.9 * size * scale for target, _ in rows]
     low = panel.top + 40 * scale
-    places = apart(tops, heights, low, low + room)
-    for (target, part), top in zip(rows, places, strict=True):
+    for (target, part), top in zip(rows, apart(tops, heights, low, low + room), strict=True):
         name, details = shortened(part.name, 24), "\n".join(map(shortened, part.details))
         below = top + 2.0 * size * scale
         sheet.text(left, top, name, size + 1, weight="bold", target=tuple(target))
@@ -361,11 +360,8 @@ def render(
         _panel(sheet, BENCH_PANEL, _corners(bench), (0.62, -1.0, 0.5), (0.07, 0.07, 0.1, 0.07)),
         view,
     ]
-    apart = [
-        Body(body.triangles.moved((0.0, 0.0, lift)), body.finish)
-        for part, lift in zip(parts, lifts, strict=True)
-        for body in part.bodies
-    ]
+    lifted = ((body, up) for part, up in zip(parts, lifts, strict=True) for body in part.bodies)
+    apart = [Body(body.triangles.moved((0.0, 0.0, up)), body.finish) for body, up in lifted]
     _expose(sheet, [bench, apart], panels, samples, run)
     left, top, wide, high = (round(scale * side) for side in BENCH_PANEL)
     view = np.clip(sheet.pixels[top : top + high, left : left + wide], 0.0, 1.0)

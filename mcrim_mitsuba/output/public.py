@@ -244,8 +244,7 @@ def simulate(
     refuse_method(method, run)
     file = _with_parameters(scene, parameters)
     simulation = _loaded(file, run)
-    modes = method == "modes"
-    light = solve_simulation(simulation, run) if modes else collect(simulation, run=run)
+    light = solve_simulation(simulation, run) if method == "modes" else collect(simulation, run=run)
     fields = fields_of(light) | {"notes": (*file.notes, *light.notes)}
     return LightResult(**fields, scene=file, run=run, simulation=simulation)
 

@@ -266,8 +266,7 @@ class Result:
     def _repr_html_(self) -> str:
         from mcrim_mitsuba.output.pages import environment
 
-        notebook = environment().get_template("notebook.html")
-        return notebook.render(parts=self.description.whole)
+        return environment().get_template("notebook.html").render(parts=self.description.whole)
 
     @property
     def description(self) -> Description:
@@ -336,9 +335,8 @@ class Result:
             import xarray
 
             return xarray.Dataset.from_dataframe(self.to_dataframe())
-        title = self.description.title
         kind, part = codec.read_document(codec.JsonObject(document))
-        return codec.dataset(codec.joined(kind, {title: part}))
+        return codec.dataset(codec.joined(kind, {self.description.title: part}))
 
     def plot(self, picture: str | None = None) -> Figure:
         """A figure of it, by matplotlib: the `picture` of this name, by default the first.

@@ -115,10 +115,8 @@ def data_uri(data: bytes, kind: str = "text/plain") -> str:
 def efficiencies_csv(sections: Sections) -> bytes:
     """The light collection efficiency of every reading, with its configuration."""
     columns = sections.campaign.cells(sections.campaign.measurements.readings[0])
-    rows = [
-        (e.label, *map(e.parameters.get, columns), e.eta, e.sigma, row.pull)
-        for e, row in zip(sections.efficiencies, sections.fit.rows, strict=True)
-    ]
+    both = zip(sections.efficiencies, sections.fit.rows, strict=True)
+    rows = [(e.label, *map(e.parameters.get, columns), e.eta, e.sigma, row.pull) for e, row in both]
     return style.numbers_text(("label", *columns, "eta", "eta_sigma", "pull"), rows).encode()
 
 
@@ -238,15 +236,11 @@ def _map(lights: Lights) -> style.Numbers:
     """Light per mm2 and emitted photon on the detector: below a row of x, a row for each y."""
     rows: list[tuple[object, ...]] = []
     for name, light in lights:
-        x, y = (
-            [float(f"{middle:.5g}") for middle in (edges[1:] + edges[:-1]) / 2]
-            for edges in (light.x_edges_mm, light.y_edges_mm)
-        )
+        middles = ((edges[1:] + edges[:-1]) / 2 for edges in (light.x_edges_mm, light.y_edges_mm))
+        x, y = ([float(f"{middle:.5g}") for middle in along] for along in middles)
         rows.append((name, "x (mm)", *x))
-        rows += [
-            (name, y_mm, *(float(f"{cell:.4g}") for cell in line))
-            for y_mm, line in zip(y, light.map.density, strict=True)
-        ]
+        lines = zip(y, light.map.density, strict=True)
+        rows += [(name, y_mm, *(float(f"{cell:.4g}") for cell in line)) for y_mm, line in lines]
     widest = max((len(row) for row in rows), default=2) - 2
     return ("configuration", "y (mm)", *(f"light_per_mm2_{i + 1}" for i in range(widest))), rows
 
@@ -290,7 +284,6 @@ def render(sections: Sections) -> str:
     pages.filters |= {"said": said, "brief": brief, "in_full": in_full, "number": number}
     pages.filters |= {"estimate": sentences.estimate_text, "value": short_text}
     pages.filters |= {"data_uri": data_uri}
-    template = pages.get_template("template.html")
     parameters = sections.fit.parameters
     raw, steps = sections.campaign.raw, sections.diagnosis.repair
     if sections.effects:
@@ -298,8 +291,7 @@ def render(sections: Sections) -> str:
         kept = steps[:1] if sections.chosen_by_hand else steps
         steps = (*(kept[:-1] or kept), final_step(kept[-1], sections.fit))
     notes = dict.fromkeys((*sections.fit.notes, *sections.provenance.notes))
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
-    return template.render(
+    return pages.get_template("template.html").render(
         sections=sections,
         campaign=sections.campaign,
         diagnosis=sections.diagnosis,
@@ -318,7 +310,7 @@ def render(sections: Sections) -> str:
         pdg=pdg,
         # ours, and hashed as it stands
         style=Markup(style),
-        style_hash=digest,
+        style_hash=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
         version=__version__,
         names={"light_yield": LIGHT_YIELD, "scale": SCALE, "alpha_scat": ALPHA_SCAT},
         # those on raw data stand beside these

@@ -335,10 +335,8 @@ def efficiencies(fit: Calibration) -> tuple[Efficiency, ...]:
     """The efficiency of every reading, its error that of `budget`."""
     # parameters are before, and the ratio of two readings after those of readings
     sigmas = errors_of(fit, fitted(fit))[len(fit.names) :][: len(fit.rows)].tolist()
-    return tuple(
-        Efficiency(row.label, row.parameters, row.eta, sigma)
-        for row, sigma in zip(fit.rows, sigmas, strict=True)
-    )
+    pairs = zip(fit.rows, sigmas, strict=True)
+    return tuple(Efficiency(row.label, row.parameters, row.eta, sigma) for row, sigma in pairs)
 
 
 # Files that a report has inside, as they were read.
@@ -403,9 +401,8 @@ def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
 
 def changed(role: str, name: str, before: str, new_name: str, after: str) -> SourceFile:
     """A mended file, of whose text is shown what tells it from the one before."""
-    lines = difflib.unified_diff(
-        before.splitlines(), after.splitlines(), name, new_name, n=_AROUND, lineterm=""
-    )
+    texts = before.splitlines(), after.splitlines()
+    lines = difflib.unified_diff(*texts, name, new_name, n=_AROUND, lineterm="")
     data, path, text = after.encode(), Path(new_name), "\n".join(lines)
     return SourceFile(role=f"mended {role}", path=path, sha256=sha256(data), data=data, text=text)
 

@@ -85,9 +85,7 @@ def reading_label(reading: FittedRow | Reading) -> str:
 
 def added_text(step: RepairStep) -> str:
     """What a step of a repair adds: ``+ air bubble in the gap``, of the first ``as it came``."""
-    if step.added is None:
-        return step.title or "as it came"
-    return f"+ {step.title or step.added}"
+    return f"+ {step.title or step.added}" if step.added is not None else step.title or "as it came"
 
 
 def light_text(fit: Calibration) -> str:
@@ -274,11 +272,8 @@ def shares_text(diagnosis: Diagnosis) -> str:
 
 def family_probabilities(diagnosis: Diagnosis) -> str:
     """``surface 91 %, housing 4 %; others < 0.1 % each``; a set of two families is in both."""
-    probabilities = {
-        likely.family: probability(likely.probability)
-        for likely in diagnosis.families
-        if likely.family != NOTHING_MISSING
-    }
+    missing = (likely for likely in diagnosis.families if likely.family != NOTHING_MISSING)
+    probabilities = {likely.family: probability(likely.probability) for likely in missing}
     nothing = probability(diagnosis.probabilities.get(NOTHING_MISSING, 0.0))
     likely_families = [
         f"{IN_NO_CATALOGUE if family == UNKNOWN else family} {p}"
@@ -471,10 +466,8 @@ def carriers(comparison: Comparison) -> str:
 
 def trend_text(trend: Trend) -> str:
     """How the pulls run along a bench parameter, in a sentence."""
-    pulls = ", ".join(
-        f"{short_text(level)}: {pull:+.1f}"
-        for level, pull in zip(trend.levels, trend.mean_pulls, strict=True)
-    )
+    by_level = zip(trend.levels, trend.mean_pulls, strict=True)
+    pulls = ", ".join(f"{short_text(level)}: {pull:+.1f}" for level, pull in by_level)
     words = f"mean pull along {trend.parameter}: {pulls}"
     if trend.p_value is None:
         return f"{words} (chi2 falls by {number(trend.delta_chi2)} without the trend)"
@@ -489,10 +482,8 @@ def limit_text(limit: Limit) -> str:
         change += number(abs(limit.delta_chi2))
         return f"excluded ({change} with it)" if limit.excluded else f"not excluded ({change})"
     # beyond an infinite end there is no limit; where an end is None, none is to be had
-    lower, upper = (
-        end if end is not None and math.isfinite(end) else None
-        for end in (limit.lower, limit.upper)
-    )
+    ends = limit.lower, limit.upper
+    lower, upper = (end if end is not None and math.isfinite(end) else None for end in ends)
     if lower is None and upper is None:
         return "no limit within its range"
     if lower is None:
@@ -630,10 +621,8 @@ def next_for_average(diagnosis: Diagnosis) -> str:
         return ""
     # the error of the fits, shared out as in the likeliest; then what there is between the fits
     of_fit, within = ErrorBudget(_parts(estimate, "prior")), averaged.within / averaged.value
-    scaled = (
-        replace(part, relative=part.relative * within / of_fit.total)
-        for part in of_fit.contributions
-    )
+    parts = of_fit.contributions
+    scaled = (replace(part, relative=part.relative * within / of_fit.total) for part in parts)
 
     def systematic(name: str, part: float, by: str) -> Contribution:
         return Contribution(
@@ -712,9 +701,7 @@ def plan_text(planning: Planning, plan: Plan, more: int = 0) -> str:
         f"{plan.hours:.1f} h, light yield to {percent(light.total, more)} (statistical "
         f"{percent(light.statistical)}, systematic {percent(light.systematic)})"
     )
-    if scattering is None:
-        return text
-    return f"{text}, scattering to {percent(scattering.total)}"
+    return text if scattering is None else f"{text}, scattering to {percent(scattering.total)}"
 
 
 def rehearsal_text(planning: Planning) -> str:
@@ -736,9 +723,8 @@ def _forbidden(planning: Planning, couplings: tuple[int, ...], floor: ExpectedEr
     parts = sorted(((part, origin) for origin, part in floor.parts.items()), reverse=True)
     largest = parts[0][1]
     more = _digits_apart(planning.wanted, floor.total)
-    makes = together(
-        [f"{origin} {percent(part)}" for part, origin in parts if part**2 > _NAMED * floor.total**2]
-    )
+    large = [(part, origin) for part, origin in parts if part**2 > _NAMED * floor.total**2]
+    makes = together([f"{origin} {percent(part)}" for part, origin in large])
     text = (
         f"A light yield to {percent(planning.wanted, more)} cannot be reached, however many events "
         f"and mountings: readings without error ({planning.name(couplings)}) would leave "

@@ -159,9 +159,7 @@ class FacedBench:
     def detectors(self) -> dict[int, str]:
         """Ids of the detectors by the numbers of their surfaces."""
         kinds = enumerate(self.surfaces)
-        return {
-            i: s.name for i, s in kinds if s.optics.get("kind", walk.DIELECTRIC) == walk.DETECTOR
-        }
+        return {i: s.name for i, s in kinds if s.optics.get("kind") == walk.DETECTOR}
 
     @property
     def head_on(self) -> float:

@@ -54,7 +54,7 @@ def read_bench(file: SceneFile) -> FacedBench:
     surfaces, wrappings = list[BenchSurface](), dict[str, WrappedSolid]()
     for number, node in enumerate(file.parts.shapes):
         shape, name = Properties(file, node), node.get("id") or f"shape {number}"
-        sides = [file.parts.medium(node, side) for side in SIDES]
+        sides = {side: file.parts.medium(node, side) for side in SIDES}
         bsdf = file.parts.bsdf(node)
         if bsdf is None:
             raise shape.refusal("what this shape wears")
@@ -68,16 +68,12 @@ def read_bench(file: SceneFile) -> FacedBench:
             optics |= {"contact_z": wrapping.begin, "paint": wrapping.film == 0.0}
         faces = faces_of(shape)
         if faces or node.type == "wrapping":
-            interior, exterior = ("" if s is None else s.get("id", "") for s in sides)
-            surface = BenchSurface(
-                name=name, faces=faces, interior=interior, exterior=exterior, optics=optics
-            )
-            surfaces.append(surface)
+            beside = {side: part.get("id", "") for side, part in sides.items() if part is not None}
+            surfaces.append(BenchSurface(name=name, faces=faces, optics=optics, **beside))
     borders = {side for s in surfaces for side in (s.interior, s.exterior)}
     media = {node.get("id", ""): Properties(file, node) for node in file.root.iter("medium")}
-    integrator, emitter = (
-        Properties(file, next(file.root.iter(tag))) for tag in ("integrator", "emitter")
-    )
+    tags = "integrator", "emitter"
+    integrator, emitter = (Properties(file, next(file.root.iter(tag))) for tag in tags)
     depth, detector = integrator.text("max_depth"), integrator.text("detector")
     (crystal,) = file.parts.targets(emitter.node, "medium")
     half, slab_mm = emitter.number("source_width_mm", math.inf) / 2.0, None
@@ -152,9 +148,8 @@ def _mask(bsdf: Properties) -> Optics:
 
 def _detector(bsdf: Properties) -> Optics:
     x, y, _ = bsdf.point("centre")
-    optics: Optics = {
-        name: bsdf.number(name, 0.0) for name in ("reflectance", "specular", "angular_falloff")
-    }
+    names = "reflectance", "specular", "angular_falloff"
+    optics: Optics = {name: bsdf.number(name, 0.0) for name in names}
     optics |= {
         "kind": DETECTOR,
         "axis_x": x,

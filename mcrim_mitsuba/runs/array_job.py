@@ -135,9 +135,8 @@ class UnitFolder:
     def missing(self) -> list[int]:
         """Parts that are not done."""
         parts = self.command()["parts"]
-        return [
-            k for k in range(1, parts + 1) if not is_there(self.path / ArrayPart(k, parts).report)
-        ]
+        numbers = range(1, parts + 1)
+        return [k for k in numbers if not is_there(self.path / ArrayPart(k, parts).report)]
 
     def write(self, name: str, content: Mapping[str, Any]) -> None:
         """Write one of the folder's files; raises InputError as `write_text`."""

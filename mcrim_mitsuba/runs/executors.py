@@ -391,9 +391,8 @@ class ProcessExecutor(PoolExecutor):
         try:
             return future.result()
         except BrokenProcessPool:
-            problem = "a process that simulated was ended from outside"
             mend = "often there is too little memory: give --threads 1, or fewer photons"
-            raise InputError(problem, mend) from None
+            raise InputError("a process that simulated was ended from outside", mend) from None
 
     def give_up(self) -> None:
         self._pool.shutdown(wait=False, kill_workers=True)

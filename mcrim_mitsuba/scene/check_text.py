@@ -187,10 +187,8 @@ def _problems_of_words(file: SceneFile) -> list[SceneProblem]:
             path, line = file.place_of(other)
             text = f"the id {name!r} is given a second time (first on line {line} of {path.name})"
             slips.append((element, text, "an id is of one element: write another"))
-    return [
-        SceneProblem("file", text, mend, *file.place_of(element))
-        for element, text, mend in (*slips, *misled(file.parts))
-    ]
+    slips += misled(file.parts)
+    return [SceneProblem("file", text, mend, *file.place_of(node)) for node, text, mend in slips]
 
 
 def _problems_of_parameters(file: SceneFile) -> dict[str, SceneProblem]:

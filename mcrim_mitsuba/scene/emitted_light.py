@@ -99,10 +99,8 @@ class EmittedLight:
 
     def at(self, wavelength_nm: float) -> dict[str, float]:
         """The parameters at one wavelength, between the points by straight lines."""
-        return {
-            name: float(np.interp(wavelength_nm, self.wavelength_nm, values))
-            for name, values in self.parameters.items()
-        }
+        points, curves = self.wavelength_nm, self.parameters.items()
+        return {name: float(np.interp(wavelength_nm, points, curve)) for name, curve in curves}
 
 
 def read_light(
@@ -149,9 +147,8 @@ def read_light(
     varying |= {n: np.interp(grid, emission.wavelength_nm, v) for n, v in columns.items()}
     # what is the same at all wavelengths may still be another number than the scene's
     varying = {n: values for n, values in varying.items() if (values != scene.parameters[n]).any()}
-    emitted = EmittedLight(
-        grid, light, np.ones_like(grid), varying, detected=False, path=Path(path)
-    )
+    all_seen = np.ones_like(grid)
+    emitted = EmittedLight(grid, light, all_seen, varying, detected=False, path=Path(path))
     if seen is not None:
         return emitted.seen_by(Spectrum(emission.wavelength_nm, seen))
     if quantum_efficiency is not None:

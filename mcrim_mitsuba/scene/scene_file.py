@@ -245,9 +245,7 @@ class SceneFile:
     @functools.cached_property
     def text_or_hash(self) -> bytes | str:
         """Tells scenes apart as `content_hash`, and those that differ in blanks, but sooner."""
-        if any(self.naming()):
-            return self.content_hash
-        return etree.tostring(self.root)
+        return self.content_hash if any(self.naming()) else etree.tostring(self.root)
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,7 +337,6 @@ def _assemble(
     assembly = _Assembly(path, texts, sources, indices)
     root = assembly.load(path, ())
     assembly.refuse_leftovers()
-    unused = tuple(name for name in assembly.defaults if name not in assembly.used)
     etree.strip_elements(root, etree.Comment, etree.ProcessingInstruction, with_tail=False)
     return SceneFile(
         path,
@@ -347,7 +344,7 @@ def _assemble(
         assembly.parameters,
         assembly.changed,
         assembly.materials,
-        unused,
+        tuple(name for name in assembly.defaults if name not in assembly.used),
         root,
         _files=assembly.files,
         _sources=sources,
@@ -530,18 +527,16 @@ class _Assembly:
         """The refusal of a ``$name`` that no default above it declares."""
         if not name:
             return InputError("a $ without a name", "write $name or remove it", **place)
-        start = max(
-            (declared for declared in self.texts if name.startswith(declared)), key=len, default=""
-        )
+        beginnings = (declared for declared in self.texts if name.startswith(declared))
+        start = max(beginnings, key=len, default="")
         if start:
             silently = self.texts[start] + name.removeprefix(start)
             problem = f"${name} is not declared; only its beginning, {start}, is"
             problem += f": Mitsuba would silently read it as '{silently}'"
             return InputError(problem, f"write ${start} or declare {name}", **place)
         if (meant := self.misdeclared(name)) is not None:
-            problem = (
-                f"{meant.name} is declared, and used nowhere; ${name} is used, and not declared"
-            )
+            problem = f"{meant.name} is declared, and used nowhere; ${name} is used"
+            problem += ", and not declared"
             mend = f"if {name} is meant here, write it so"
             return InputError(problem, mend, path=meant.path, line=meant.line)
         guess = f"{did_you_mean(name, self.texts)}; or " if closest(name, self.texts) else ""

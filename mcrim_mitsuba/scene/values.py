@@ -147,9 +147,8 @@ def material_at(what: str, text: str, **place: Any) -> tuple[Material, float | s
 
 def _refuse_opaque(medium: Material, wavelength_nm: float) -> None:
     if medium.is_opaque(wavelength_nm):
-        problem = f"{medium.name} is opaque at {wavelength_nm:g} nm"
         mend = "name a transparent material; `mcrim lab index` says what this one reflects"
-        raise InputError(problem, mend)
+        raise InputError(f"{medium.name} is opaque at {wavelength_nm:g} nm", mend)
 
 
 def parse_material(
@@ -308,8 +307,7 @@ def parse_list(option: str, text: str, name: str = "", folder: Path | None = Non
                     whole = before.strip() or "0"
                     whole = whole if whole.lstrip("+-").isdecimal() else "0"
                     problem = f"{option}: '{element}' begins with 0, as after a decimal comma"
-                    mend = f"write {whole}.{element}; commas separate numbers"
-                    raise InputError(problem, mend)
+                    raise InputError(problem, f"write {whole}.{element}; commas separate numbers")
         return [number(part) for part in elements]
     parts = body.removeprefix("log:").split(":")
     if len(parts) != 3:
@@ -334,8 +332,7 @@ def told_of_comma(option: str, text: str | None) -> list[str]:
     first, second = match.groups()
     if int(second) <= int(first):
         problem = f"{option} = '{text}' may be one number with a decimal comma, or two"
-        mend = f"write {first}.{second} for one, {first};{second} for two"
-        raise InputError(problem, mend)
+        raise InputError(problem, f"write {first}.{second} for one, {first};{second} for two")
     return [
         f"{option} = {first},{second} is two values, {first} and {second}; for one write "
         f"{first}.{second}"

@@ -90,9 +90,8 @@ def _parsed(data: bytes, path: Path) -> Node:
         start = data.find(b"<!DOCTYPE")
         problem = "a DTD (<!DOCTYPE ...>) or entities are not accepted"
         mend = "remove the declaration and write the text itself"
-        raise InputError(
-            problem, mend, path=path, line=None if start < 0 else data.count(b"\n", 0, start) + 1
-        )
+        place = None if start < 0 else data.count(b"\n", 0, start) + 1
+        raise InputError(problem, mend, path=path, line=place)
     _mark_start_lines(root, data)
     _refuse_monsters(root, path)
     if root.tag != "scene":
@@ -356,8 +355,7 @@ def misspelt(element: etree._Element) -> tuple[str, str] | None:
     needed, possible = (names.split() for names in _ATTRIBUTES[tag])
     for name in element.attrib:
         if name not in (*needed, *possible):
-            problem = f"<{tag}> has no attribute {name}"
-            return problem, did_you_mean(str(name), [*needed, *possible])
+            return f"<{tag}> has no attribute {name}", did_you_mean(str(name), [*needed, *possible])
     for name in needed:
         if name not in element.attrib:
             return f"this <{tag}> has no {name}", f'write <{tag} {name}="...">'

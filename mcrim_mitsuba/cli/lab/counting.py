@@ -146,9 +146,8 @@ def peak(
     if calibration:
         document["calibration"] = calibration_json(calibration)
         notes += calibration.notes
-        pictures["calibration"] = lambda: laboratory_figures.draw_calibration(
-            [of.histogram for of in fitted]
-        )
+        histograms = [of.histogram for of in fitted]
+        pictures["calibration"] = lambda: laboratory_figures.draw_calibration(histograms)
     if widths := _widths(peaks, map_file, depth_mm, deposits):
         pictures["widths"] = lambda: laboratory_figures.draw_widths(widths)
         parts = [(name, width) for name, of_peak in widths.items() for width in of_peak]
