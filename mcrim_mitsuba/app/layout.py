@@ -301,13 +301,12 @@ def _fits_panel(session: Session) -> str:
     if not now.steps:
         return ""
     last, beside = now.steps[-1], now.beside
-    fixed = last.calibration.fixed.items()
     return _TEMPLATES.get_template("fits.html").render(
         steps=now.steps,
         last=last,
         name_of=step_name,
         light_title=_light_title(session),
-        held=[f"{sentences.title_of(n)} = {v:.4g}" for n, v in fixed],
+        held=[f"{sentences.title_of(n)} = {v:.4g}" for n, v in last.calibration.fixed.items()],
         beside=beside,
         compared=() if beside is last else _side_by_side(beside, last),
     )

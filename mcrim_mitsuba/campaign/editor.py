@@ -164,8 +164,7 @@ def beam_notes(raw: RawData, alpha_scat_per_cm: float) -> list[str]:
         return []
     path_mm, through = raw.absorption.thickness_mm, raw.absorption.internal_transmittance
     left = math.exp(-alpha_scat_per_cm * path_mm / MM_PER_CM)
-    sigma = raw.absorption.internal_transmittance_sigma
-    if through - left < _CLEARLY * sigma:
+    if through - left < _CLEARLY * raw.absorption.internal_transmittance_sigma:
         return []
     return [
         f"isotropic scattering of {alpha_scat_per_cm:.2g} /cm takes {100 * (1 - left):.0f} % out "

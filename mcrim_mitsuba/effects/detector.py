@@ -162,8 +162,7 @@ DETECTOR_SPECULAR = Effect(
 
 def weight_angular_falloff(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
     """1 - a (1 - cos theta), theta inside the window, to the normal: above 1 for a below 0."""
-    cosine = columns["arrival_cosine"].astype(np.float64)
-    return 1.0 - values["angular_falloff"] * (1.0 - cosine)
+    return 1.0 - values["angular_falloff"] * (1.0 - columns["arrival_cosine"].astype(np.float64))
 
 
 DETECTOR_ANGLE = Effect(
