@@ -140,11 +140,13 @@ def _show(screen: terminal.Screen, outcomes: Sequence[Mapping]) -> None:
     for low, high in itertools.pairwise(BINS):
         at = (said >= low) & ((said < high) | (high == BINS[-1]))
         if at.any():
-            # a campaign's causes stand for each other, so that campaigns are what is independent
-            over = ((there - said) * at).sum(axis=1)
+            # a campaign's causes stand for each other, so that campaigns are what is independent;
+            # where none fails their scatter tells nothing, and causes err by chance at least
+            over, chance = ((there - said) * at).sum(axis=1), (said * (1.0 - said))[at].sum()
+            error = math.sqrt(max(np.square(over).sum(), chance))
             cells = (f"{100 * low:g} to {100 * high:g} %", f"{at.sum()}", f"{said[at].sum():.1f}")
-            off = over.sum() / math.sqrt(np.square(over).sum())
-            rows.append((*cells, f"{there[at].sum()}", f"{off:+.1f}"))
+            off = f"{over.sum() / error:+.1f}" if error else ""
+            rows.append((*cells, f"{there[at].sum()}", off))
     screen.show(table("causes", ("said", "causes", "sum of it", "there", "errors off"), rows))
 
 
