@@ -25,11 +25,8 @@ from mcrim_mitsuba.output import photograph
 from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output import report_sections as sections
 
-MARKUP, QUOTES, SCRIPT = (
-    "[bold red]gel[/] :smile: $x^2",
-    'the "good" air, 2nd',
-    "<script>x</script>",
-)
+MARKUP, QUOTES = "[bold red]gel[/] :smile: $x^2", 'the "good" air, 2nd'
+SCRIPT = "<script>x</script>"
 LABELS = [MARKUP, QUOTES, SCRIPT] + [
     f"n_gap 1.46, aperture {i} mm, crystal of 10 mm, mounting {i}" for i in range(13)
 ]
@@ -42,9 +39,8 @@ PROVENANCE = Provenance(
 
 
 def estimate(value: float, sigma: float, at_bound: str | None = None) -> ParameterEstimate:
-    return ParameterEstimate(
-        value, sigma, value - sigma, value + sigma, at_bound, {"statistical": sigma}
-    )
+    ends = value - sigma, value + sigma
+    return ParameterEstimate(value, sigma, *ends, at_bound, {"statistical": sigma})
 
 
 FITTED = {"alpha_scat_per_cm": estimate(0.62, 0.03), "light_yield_ph_per_keV": estimate(8.31, 0.25)}
@@ -56,57 +52,38 @@ MENDED = {
 
 
 def rows(shrunk: float = 1.0) -> tuple[FittedRow, ...]:
-    return tuple(
-        FittedRow(
-            label,
-            20.0 + i,
-            0.2,
-            20.0 + i - 0.2 * shrunk * pull,
-            0.01,
-            shrunk * pull,
-            0.3,
-            0.001,
-            i != 15,
+    def row(i: int) -> FittedRow:
+        signal, pull = 20.0 + i, shrunk * PULLS[i]
+        return FittedRow(
+            LABELS[i], signal, 0.2, signal - 0.2 * pull, 0.01, pull, 0.3, 0.001, i != 15
         )
-        for i, (label, pull) in enumerate(zip(LABELS, PULLS, strict=True))
-    )
+
+    return tuple(map(row, range(len(LABELS))))
 
 
 #: The campaign of what is made by hand: nothing was added to it.
 AS_IT_CAME = SimpleNamespace(remark="", yield_to_quote="")
 #: A fit made by hand has no model, and no profiles.
 NONE = np.zeros((0, 0))
+_MODEL = SimpleNamespace(readings=(), campaign=AS_IT_CAME)
+_WEIGHTS = SimpleNamespace(errors=SimpleNamespace(tolerances=NONE))
+_AT_ALL = {"statistic": SimpleNamespace(model=_MODEL), "weights": _WEIGHTS}
 MINIMUM = cast(
-    Minimum,
-    SimpleNamespace(
-        names=(),
-        statistic=SimpleNamespace(model=SimpleNamespace(readings=(), campaign=AS_IT_CAME)),
-        weights=SimpleNamespace(errors=SimpleNamespace(tolerances=NONE)),
-        weighted_residuals=np.zeros(0),
-        precision=NONE,
-    ),
+    Minimum, SimpleNamespace(names=(), weighted_residuals=np.zeros(0), precision=NONE, **_AT_ALL)
 )
 
 
 def calibration(parameters=FITTED, shrunk: float = 1.0, chi2: float = 64.2) -> Calibration:
-    return Calibration(
-        parameters=parameters,
-        fixed={},
-        chi2=chi2,
-        ndf=12,
-        p_value=0.42 if shrunk < 1 else 2.3e-9,
-        rows=rows(shrunk),
-        names=("alpha_scat_per_cm",),
-        covariance=np.eye(1),
-        response=np.zeros((1, 16)),
-        converged=True,
-        notes=(),
-        minimum=MINIMUM,
-    )
+    p_value = 0.42 if shrunk < 1 else 2.3e-9
+    linear = {"covariance": np.eye(1), "response": np.zeros((1, 16)), "minimum": MINIMUM}
+    told = {"names": ("alpha_scat_per_cm",), "fixed": {}, "converged": True, "notes": ()}
+    quality = {"chi2": chi2, "ndf": 12, "p_value": p_value, "rows": rows(shrunk)}
+    return Calibration(parameters=parameters, **quality, **linear, **told)
 
 
 def comparison(p_value: float | None = 2.3e-9, suspects: tuple[Suspect, ...] = ()) -> Comparison:
     fit = replace(calibration(), p_value=p_value, ndf=12 if p_value is not None else 0)
+    pulled = "alpha_abs = 0.07 is +2.6 sigma off"
     return Comparison(
         **vars(fit),
         expected_chi2=(7.1, 16.9),
@@ -115,11 +92,7 @@ def comparison(p_value: float | None = 2.3e-9, suspects: tuple[Suspect, ...] = (
         left_out_pulls={row.label: 1.1 * row.pull for row in rows() if row.use},
         suspects=suspects,
         trends=(Trend("n_gap", (1.0, 1.46), (-2.1, 2.2), 40.0, 1, 2e-4),),
-        absorbed=(
-            Absorbed(
-                "alpha_abs_per_cm", "prior_pulled", 0.07, "alpha_abs = 0.07 is +2.6 sigma off"
-            ),
-        ),
+        absorbed=(Absorbed("alpha_abs_per_cm", "prior_pulled", 0.07, pulled),),
     )
 
 
@@ -134,29 +107,18 @@ def candidate(
     mimics: tuple[str, ...] = (),
     plausible: bool = True,
 ) -> Candidate:
+    """Numbers in the order of its fields: of the fit, of the gain, of the evidence."""
     return Candidate(
         " + ".join(effects),
         effects,
-        64.2 - gain,
-        12 - len(sizes),
-        0.44,
-        gain,
-        0.8,
-        1e-9,
-        2e-8,
-        -gain,
-        0.4 * gain,
-        54.2 - gain,
-        1.3,
+        *(64.2 - gain, 12 - len(sizes), 0.44),
+        *(gain, 0.8, 1e-9, 2e-8, -gain),
+        *(0.4 * gain, 54.2 - gain, 1.3),
         {**FITTED, **sizes},
         tuple(sizes),
         {"value": 7.52, "sigma": 0.2, "change": -0.095},
-        plausible,
-        any(s.at_bound for s in sizes.values()),
-        0.5,
-        mimics,
-        "surface",
-        "Polish it again.",
+        *(plausible, any(s.at_bound for s in sizes.values()), 0.5, mimics),
+        *("surface", "Polish it again."),
     )
 
 
@@ -173,24 +135,11 @@ FAMILIES = (
     FamilyProbability("none", 0.01, ()),
 )
 PAIR = candidate((FIRST, SECOND), 55.0, SIZES)
+YIELDS = {"value": 8.31, "sigma": 0.25}, {"value": 7.52, "sigma": 0.22}
+QUALITY = (64.2, 12, 2.3e-9, 2.1, 2.6, 0.0), (12.1, 11, 0.36, 0.9, 1.1, 0.8)
 STEPS = (
-    RepairStep(
-        0, None, (), 64.2, 12, 2.3e-9, 2.1, 2.6, 0.0, FITTED, {"value": 8.31, "sigma": 0.25}
-    ),
-    RepairStep(
-        1,
-        FIRST,
-        (FIRST,),
-        12.1,
-        11,
-        0.36,
-        0.9,
-        1.1,
-        0.8,
-        MENDED,
-        {"value": 7.52, "sigma": 0.22},
-        TITLES[FIRST],
-    ),
+    RepairStep(0, None, (), *QUALITY[0], FITTED, YIELDS[0]),
+    RepairStep(1, FIRST, (FIRST,), *QUALITY[1], MENDED, YIELDS[1], TITLES[FIRST]),
 )
 
 
@@ -216,7 +165,7 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         hours=1.0,
         words="water, gap of 0.5 mm; and gel, mask of 7 mm radius",
     )
-    made = Diagnosis(
+    unchanged = Diagnosis(
         verdict=verdict,
         reason=f"as {MARKUP} shows",
         baseline=comparison(),
@@ -233,7 +182,7 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         families=FAMILIES,
         titles=TITLES,
     )
-    return replace(made, **changed)
+    return replace(unchanged, **changed)
 
 
 @contextmanager

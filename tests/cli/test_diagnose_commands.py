@@ -60,15 +60,9 @@ def campaign(campaign_here) -> str:
 
 def repaired(diagnosis) -> Repaired:
     """Where nothing was added."""
-    return Repaired(
-        diagnosis=diagnosis,
-        effects=(),
-        fit=by.calibration(),
-        campaign_path=None,
-        scene_path=None,
-        provenance=by.PROVENANCE,
-        simulations=None,
-    )
+    files = {"campaign_path": None, "scene_path": None}
+    made = {"provenance": by.PROVENANCE, "simulations": None}
+    return Repaired(diagnosis=diagnosis, effects=(), fit=by.calibration(), **files, **made)
 
 
 @pytest.fixture
@@ -103,6 +97,7 @@ def found(monkeypatch):
 
 #: Nothing is shown of the campaign itself.
 NO_CAMPAIGN = SimpleNamespace(title="", unit="")
+PAIRED = by.diagnosis("missing_effect", pairs=(by.PAIR,), leading_sets=((by.FIRST, by.SECOND),))
 
 
 def shown_of(diagnosis) -> Description:
@@ -129,23 +124,15 @@ def test_compare_shows_where_the_misfit_lies(mcrim, campaign, found):
     status, out, err = mcrim("compare", campaign)
     assert (status, err) == (0, "")
     # of the 15 readings in use: 36 of 49 in squares
-    assert row_of(out, by.MARKUP)[1:] == [
-        "20.00 ± 0.20",
-        "18.800 ± 0.010",
-        "+6.00",
-        "+6.60",
-        "73 %",
-    ]
+    worst = ["20.00 ± 0.20", "18.800 ± 0.010", "+6.00", "+6.60", "73 %"]
+    assert row_of(out, by.MARKUP)[1:] == worst
     assert row_of(out, f"{by.LABELS[-1]} (not used)")[-2:] == ["", ""]
-    assert (
-        "chi2 = 64.2 where 12 ± 4.9 is expected (ndf = 12), p = 2.3e-09: the model does not" in out
-    )
+    quality = "64.2 where 12 ± 4.9 is expected (ndf = 12), p = 2.3e-09: the model does not"
+    assert f"chi2 = {quality}" in out
     assert f"73 % of the squared pulls are those of 1 of 15 readings: {by.MARKUP} (73 %)" in out
-    wrong, swapped = (
-        out.index(f"{by.MARKUP} looks wrong"),
-        out.index(f"{by.QUOTES} and {by.SCRIPT} look swap"),
-    )
-    assert wrong < swapped < out.index("along n_gap: 1: -2.1, 1.46: +2.2 (a trend, p = 0.0002)")
+    wrong, swapped = f"{by.MARKUP} looks wrong", f"{by.QUOTES} and {by.SCRIPT} look swap"
+    trend = "along n_gap: 1: -2.1, 1.46: +2.2 (a trend, p = 0.0002)"
+    assert out.index(wrong) < out.index(swapped) < out.index(trend)
     assert "alpha_abs = 0.07 is +2.6 sigma off" in out
     assert row_of(out, "scattering (1/cm)")[1] == "0.620 ± 0.030"
     assert out.splitlines()[-1].startswith(f"Next: check {by.MARKUP} in camoo4_measured.csv")
@@ -198,23 +185,12 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
     assert lines[0] == FIRST_LINES[verdict]
     assert lines[1].startswith("Of 100 %: ") and lines[2] == AVERAGED
     assert lines[-1].startswith(LAST_LINES[verdict])
-    assert row_of(out, FIRST) == [
-        FIRST,
-        "70 %",
-        "1e+9",
-        "surface loss = 0.0123 ± 0.0008",
-        "usual size",
-        "7.52 (-9.5 %)",
-        "52.1 ± 0.8",
-        "0.44",
-        "1.3",
-        by.FIRST,
-    ]
+    likely = [FIRST, "70 %", "1e+9", "surface loss = 0.0123 ± 0.0008", "usual size"]
+    effect_of = ["7.52 (-9.5 %)", "52.1 ± 0.8", "0.44", "1.3", by.FIRST]
+    assert row_of(out, FIRST) == likely + effect_of
     assert row_of(out, "Air bubble in the gap")[4] == "unusual size"
-    assert row_of(out, "Absorbing liquid in the gap")[3:5] == [
-        "gap absorption (1/cm) = 20, at its bound",
-        "end of its range",
-    ]
+    at_bound = ["gap absorption (1/cm) = 20, at its bound", "end of its range"]
+    assert row_of(out, "Absorbing liquid in the gap")[3:5] == at_bound
     switched = row_of(out, "Polarisation of the light")
     assert [switched[i] for i in (1, 4, 6)] == ["", "on or off", "-2.2 ± 0.8"]
     named = verdict in ("missing_effect", "ambiguous")
@@ -236,46 +212,40 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
             assert row_of(out, name)[1] == text
         assert row_of(out, "Source near the top face")[2:] == ["source_depth_mm", "source_depth"]
     if verdict == "ambiguous":
-        assert row_of(out, "water, gap of 0.5 mm;")[1:] == [
-            "1 h",
-            "± 8.3 % in 7 of 10 outcomes, else ± 10.5 %",
-            "94 %",
-            "12.3",
-            "absorbing crystal surface from air bubble in the gap",
-        ]
+        gain = ["1 h", "± 8.3 % in 7 of 10 outcomes, else ± 10.5 %", "94 %", "12.3"]
+        separated = "absorbing crystal surface from air bubble in the gap"
+        assert row_of(out, "water, gap of 0.5 mm;")[1:] == [*gain, separated]
 
 
 def test_what_is_no_new_reading_is_done_first(mcrim, campaign, found):
-    following = by.diagnosis("ambiguous").next_measurements[0]
+    words = "look for air bubble in the gap"
     look = replace(
-        following,
-        kind="look",
-        parameters={},
-        also=None,
-        light_yield_kept=0.96,
-        words="look for air bubble in the gap",
+        by.diagnosis("ambiguous").next_measurements[0],
+        **{
+            "kind": "look",
+            "parameters": {},
+            "also": None,
+            "light_yield_kept": 0.96,
+            "words": words,
+        },
     )
     unknown = replace(look, light_yield_sigma=None, light_yield_kept=None)
     found["diagnose"] = by.diagnosis("ambiguous", next_measurements=(look, unknown))
     lines = mcrim.shown("diagnose", campaign).splitlines()
-    assert lines[-1].startswith(
-        "Next: look for air bubble in the gap, and diagnose again with what it says; or mcrim"
-    )
+    assert lines[-1].startswith(f"Next: {words}, and diagnose again with what it says; or mcrim")
     shown = [line.split("│")[3].strip() for line in lines if "│ look for air bubble" in line]
     assert shown == ["± 8.3 %", "-"]
 
 
 def test_a_pair_and_suspect_readings_are_named(mcrim, campaign, found):
-    pair = by.diagnosis("missing_effect", pairs=(by.PAIR,), leading_sets=((by.FIRST, by.SECOND),))
-    found["diagnose"] = pair
+    found["diagnose"] = PAIRED
     out = mcrim.shown("diagnose", campaign)
     assert out.splitlines()[0].startswith(
         "Absorbing crystal surface and air bubble in the gap explain the misfit "
         "(surface_absorption and gap_bubble: surface loss = 0.0100 ± 0.0010; bubble fraction = "
         "0.100 ± 0.020): chi2 64.2 -> 9.2"
     )
-    suspect = by.diagnosis("unexplained", suspect_readings=(by.BAD,))
-    found["diagnose"] = suspect
+    found["diagnose"] = by.diagnosis("unexplained", suspect_readings=(by.BAD,))
     out = mcrim.shown("diagnose", campaign)
     assert f"- {by.MARKUP} looks wrong, +7.1 sigma from the others' prediction" in out
     assert out.index("looks wrong") < out.index("each added alone")
@@ -318,14 +288,10 @@ def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
     found["repair"] = repaired(aside)
     lines = mcrim.shown("repair", campaign, "-o", "new.toml").splitlines()
     assert told in lines and "Nothing was added, and no file written." in lines
-    usual = by.diagnosis("missing_effect")
-    found["repair"] = replace(
-        found["repair"], diagnosis=usual, undetermined="the readings do not determine scale"
-    )
+    usual, why = by.diagnosis("missing_effect"), "the readings do not determine scale"
+    found["repair"] = replace(found["repair"], diagnosis=usual, undetermined=why)
     out = mcrim.shown("repair", campaign, "-o", "new.toml")
-    assert (
-        "With absorbing crystal surface, the readings do not determine scale: diagnose says" in out
-    )
+    assert f"With absorbing crystal surface, {why}: diagnose says" in out
 
 
 @cases("count", "alternatives")
@@ -465,21 +431,15 @@ def test_python_of_a_campaign_is_executed_when_its_user_says_so(
 def test_a_profile_that_is_no_parabola_is_said():
     values = np.linspace(0.0, 0.6, 61)
     rise = ((values - 0.3) / 0.03) ** 2
-    even = Profile(
-        name="even",
-        values=values,
-        delta_chi2=rise,
-        slopes=2 * (values - 0.3) / 0.03**2,
-        value=0.3,
-        sigma=0.03,
-    )
+    slopes = 2 * (values - 0.3) / 0.03**2
+    curve = {"values": values, "delta_chi2": rise, "slopes": slopes}
+    even = Profile(name="even", value=0.3, sigma=0.03, **curve)
     assert sentences.shapes([even]) == []
     # a shelf below the best value
     shelf = np.where(values < 0.26, 2.0 + 100 * (0.26 - values) ** 2, rise)
     slopes = np.gradient(shelf, values)
-    (said,) = sentences.shapes(
-        [even, replace(even, name="bubble", delta_chi2=shelf, slopes=slopes)]
-    )
+    uneven = replace(even, name="bubble", delta_chi2=shelf, slopes=slopes)
+    (said,) = sentences.shapes([even, uneven])
     assert said == (
         "bubble: the 95 % interval is 0.124 to 0.359, not 0.241 to 0.359 as 0.300 ± 0.030 would "
         "have it: chi2 does not rise like a parabola"
@@ -491,10 +451,10 @@ def test_a_profile_that_is_no_parabola_is_said():
 
 def test_repair_says_where_nothing_was_added(mcrim, campaign, found):
     found["repair"] = repaired(by.diagnosis("adequate", repair=by.STEPS[:1]))
-    out = mcrim.shown("repair", campaign, "-o", "new.toml")
-    assert "Nothing was added, and no file written." in out.splitlines()
+    lines = mcrim.shown("repair", campaign, "-o", "new.toml").splitlines()
+    assert "Nothing was added, and no file written." in lines
     # as a diagnosis goes on, which is not asked for once more
-    assert out.splitlines()[-1] == LAST_LINES["adequate"]
+    assert lines[-1] == LAST_LINES["adequate"]
 
 
 def test_figures_come_with_their_numbers(mcrim, campaign, found):
@@ -513,18 +473,11 @@ def test_figures_come_with_their_numbers(mcrim, campaign, found):
     assert (first["pull"], first["suspect"], first["pull_after"]) == ("6", "bad_reading", "")
     assert float(tables["repair_readings"][0]["pull_after"]) == pytest.approx(1.8)
     ranked = tables["diagnose"]
-    assert [(row["effect"], row["leading"]) for row in ranked] == [
-        (by.FIRST, "1"),
-        (by.SECOND, "0"),
-        ("gap_absorption", "0"),
-        (by.OFF, "0"),
-        ("none", "0"),
-    ]
-    assert (ranked[0]["value"], ranked[0]["mimics"], ranked[3]["value"]) == (
-        "0.0123",
-        by.SECOND,
-        "",
-    )
+    order = [by.FIRST, by.SECOND, "gap_absorption", by.OFF, "none"]
+    assert [row["effect"] for row in ranked] == order
+    assert [row["leading"] for row in ranked] == ["1", "0", "0", "0", "0"]
+    assert (ranked[0]["value"], ranked[0]["mimics"]) == ("0.0123", by.SECOND)
+    assert ranked[3]["value"] == ""
     # the last row is the mended campaign's: its effects simulated together
     steps = tables["repair"]
     assert [row["light_yield_ph_per_keV"] for row in steps] == ["8.31", "7.52"]
@@ -544,19 +497,12 @@ def test_labels_of_figures_do_not_overlap():
     assert overlap([*lower.get_xticklabels(), lower.xaxis.label, *legends], figure) == []
     name = "an_effect_of_my_own_with_a_very_long_name" * 2
     long = replace(by.CANDIDATES[3], effect=name, effects=(name,))
-    figure = draw_ranking(
-        by.diagnosis("ambiguous", candidates=(*by.CANDIDATES * 4, long), pairs=(by.PAIR,) * 3)
-    ).figure
+    many = {"candidates": (*by.CANDIDATES * 4, long), "pairs": (by.PAIR,) * 3}
+    figure = draw_ranking(by.diagnosis("ambiguous", **many)).figure
     chances, _, words = figure.axes
-    texts = [
-        *chances.get_yticklabels(),
-        *chances.texts,
-        *words.texts,
-        *figure.legends[0].get_texts(),
-    ]
-    assert overlap(texts, figure) == []
-    pair = by.diagnosis("missing_effect", pairs=(by.PAIR,), leading_sets=((by.FIRST, by.SECOND),))
-    figure = draw_ranking(pair, brief=True).entitled("A title that is far too long. " * 9).figure
+    labels = [*chances.get_yticklabels(), *figure.legends[0].get_texts()]
+    assert overlap([*labels, *chances.texts, *words.texts], figure) == []
+    figure = draw_ranking(PAIRED, brief=True).entitled("A title that is far too long. " * 9).figure
     figure.draw_without_rendering()
     assert figure.bbox.width > title_of(figure).get_window_extent().x1
     steps = [replace(by.STEPS[1], step=i, added="anisotropic_scattering") for i in range(1, 5)]
@@ -607,9 +553,8 @@ def test_frames_hold_numbers():
     ).split()
     effects = tables["effects, each added alone"].frame()
     assert [name for name in effects if effects[name].dtype == float] == numbers
-    assert (
-        list(effects.columns.difference(numbers)) == "effect parameter plausibility title".split()
-    )
+    words = "effect parameter plausibility title"
+    assert " ".join(effects.columns.difference(numbers)) == words
     first, _, at_bound, switched = (row for _, row in effects.iterrows())
     assert (first["effect"], first["parameter"]) == (by.FIRST, "surface_loss")
     assert (first["size"], first["size_sigma"]) == (0.0123, 0.0008)
@@ -621,13 +566,9 @@ def test_frames_hold_numbers():
     limits = tables["what the readings allow, 95 % confidence"].frame().set_index("effect")
     assert limits.loc["gap_index", ["lower", "upper"]].tolist() == [-0.02, 0.031]
     assert bool(limits.loc[by.OFF, "excluded"])
-    further = shown_of(by.diagnosis("ambiguous"))
-    following = further.tables["what to measure next"].frame()
-    assert following.loc[0, ["hours", "light_yield_sigma", "probability"]].tolist() == [
-        1.0,
-        0.083,
-        0.94,
-    ]
+    following = shown_of(by.diagnosis("ambiguous")).tables["what to measure next"].frame()
+    gains = following.loc[0, ["hours", "light_yield_sigma", "probability"]]
+    assert gains.tolist() == [1.0, 0.083, 0.94]
     steps = describe_campaign.steps_table(by.STEPS).frame()
     assert " ".join(steps.columns) == (
         "added chi2 ndf chi2_per_ndf p_value rms_pull left_out_error light_yield_ph_per_keV "
@@ -673,44 +614,33 @@ def test_a_tiny_p_value_is_below_and_equals_nothing():
 
 def test_bounds_may_keep_a_fit_of_all_parameters_from_its_readings():
     """Two swapped readings, chi2 = 872, were a light yield without a word."""
-    for chi2, says, doubt in (
-        (872.0, "does not describe the readings", True),
-        (0.4, "nothing about", False),
-    ):
+    cases = ((872.0, "does not describe the readings", True), (0.4, "nothing about", False))
+    for chi2, says, doubt in cases:
         comparison = replace(by.comparison(p_value=None), chi2=chi2)
         assert says in sentences.quality(comparison) and sentences.fails(comparison) == doubt
 
 
 def side_by_side() -> SideBySide:
     """Three hypotheses with the longest names and figures that there are."""
+    contributions = {"statistical": 0.123, "detector_efficiency": 0.322}
     sizes = {
         "bottom_roughness_alpha": by.estimate(0.0123, 0.0008),
         "alpha_scat_per_cm": by.estimate(0.54321, 0.02012),
-        "light_yield_ph_per_keV": replace(
-            by.estimate(7.812, 0.345),
-            contributions={"statistical": 0.123, "detector_efficiency": 0.322},
-        ),
+        "light_yield_ph_per_keV": replace(by.estimate(7.812, 0.345), contributions=contributions),
     }
     hypotheses = tuple(
         FittedHypothesis(
             name,
             Path("a campaign.toml"),
             ("anisotropic_scattering", "scattering_gradient"),
-            1234.5,
-            13,
-            1.2e-10,
-            2.61,
-            -123.4 * place,
-            1.7 * place,
-            0.3,
+            *(1234.5, 13, 1.2e-10, 2.61, -123.4 * place, 1.7 * place, 0.3),
             sizes if place else by.FITTED,
             by.rows(1.0 - 0.4 * place),
         )
         for place, name in enumerate(NAMES)
     )
     apart = {row.label: 0.8 * abs(row.pull) for row in by.rows()}
-    found = SideBySide("preferred", "as A shows", ("A",), hypotheses, apart)
-    return found
+    return SideBySide("preferred", "as A shows", ("A",), hypotheses, apart)
 
 
 @pytest.mark.parametrize("width", [80, 100, 140])
@@ -727,10 +657,8 @@ def test_hypotheses_fit_a_terminal_and_their_figure(width):
     for table in (shown.tables["pulls"], shown.tables["predictions"]):
         assert all(cell.text in whole for row in table.rows for cell in row.cells[1:])
     assert row_of(whole, "bottom roughness alpha")[1] == ""
-    most = (
-        f"They differ most at {by.MARKUP}: 18.80, 19.28 and 19.76 where 20.00 ± 0.20 was measured"
-    )
-    assert most in " ".join(lines)
+    most = f"{by.MARKUP}: 18.80, 19.28 and 19.76 where 20.00 ± 0.20 was measured"
+    assert f"They differ most at {most}" in " ".join(lines)
     figure = draw_hypotheses(side_by_side()).figure
     legends = [text for axes in figure.axes for text in axes.get_legend().get_texts()]
     assert overlap([*figure.axes[1].get_xticklabels(), *legends], figure) == []

@@ -303,22 +303,11 @@ def test_100_synthetic_campaigns_scatter_as_planned(scenes, article, without_pho
 def test_plans_are_ordered_and_add_up(article, without_photons):
     without_photons(formulas)
     conditions = Conditions(events_per_second=10.0, minutes_per_mounting=60.0)
-    planned = plan(
-        article,
-        0.2,
-        n_gap=[1.0, 1.46],
-        mountings=[4, 1],
-        events=[1e3, 1e4],
-        conditions=conditions,
-        anew=True,
-    )
+    choice = {"n_gap": [1.0, 1.46], "mountings": [4, 1], "events": [1e3, 1e4], "anew": True}
+    planned = plan(article, 0.2, conditions=conditions, **choice)
     assert planned.undetermined == ((0,), (1,))
-    assert [(p.mountings, p.events) for p in planned.plans] == [
-        (1, 1e3),
-        (1, 1e4),
-        (4, 1e3),
-        (4, 1e4),
-    ]
+    order = [(1, 1e3), (1, 1e4), (4, 1e3), (4, 1e4)]
+    assert [(p.mountings, p.events) for p in planned.plans] == order
     assert planned.plans[-1].hours == pytest.approx(2 * 4 * (1 + 1e4 / 36e3))
     for each in planned.plans:
         light = each.light_yield
@@ -328,9 +317,8 @@ def test_plans_are_ordered_and_add_up(article, without_photons):
     assert many.parts["events"] == pytest.approx(few.parts["events"] / math.sqrt(10), rel=0.05)
     assert planned.cheapest is planned.plans[0]
     (line,) = verdict(planned)
-    assert line.startswith(
-        "Cheapest plan for a light yield to 20.0 %: gap index 1, 1.46; 1 mounting"
-    )
+    cheapest = "Cheapest plan for a light yield to 20.0 %: gap index 1, 1.46; 1 mounting"
+    assert line.startswith(cheapest)
 
 
 def test_what_forbids_a_precision_is_named(article, without_photons):
