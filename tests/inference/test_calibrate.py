@@ -136,6 +136,17 @@ def test_a_fit_finds_little_scattering_from_any_start(scenes):
     assert all(fit.chi2 < 6 and fit.parameters[known.name].value < 0.01 for fit in fits)
 
 
+@pytest.mark.parametrize("given", ["", "crystal_width_mm = 0.05\n", "window_width_mm = 0.05\n"])
+def test_a_crystal_may_be_as_wide_as_its_window(campaign, given):
+    """What has no room is exact, or off to one side where the campaign says how far."""
+    path = campaign(ARTICLE, more=f"[tolerances]\ngap_mm = 0\n{given}")
+    scene = path.parent / "camoo4.xml"
+    scene.write_text(scene.read_text().replace('width_mm" value="28"', 'width_mm" value="10"'))
+    fit = calibrate(CampaignSimulations(read_campaign(path), Run(LANES, seed=4, check=False)))
+    names = {offset.tolerance.number.name for offset in fit.offsets}
+    assert {n for n in names if "width" in n} == {n for n in given.split() if "width" in n}
+
+
 def test_a_misfit_is_not_lessened_by_poor_simulations(campaign):
     """Liquid readings behind the narrow mask are 20 % too low, as staff tried it.
 
