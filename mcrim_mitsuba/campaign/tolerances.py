@@ -23,10 +23,12 @@ from mcrim_mitsuba.core.errors import did_you_mean
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, SOURCE_Z, THIN, Value, judge, unit_of
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.effects.effect import WRONG, BenchNumber, Effect, EffectParameter
-from mcrim_mitsuba.effects.scene_edits import HEIGHT
+from mcrim_mitsuba.effects.scene_edits import HEIGHT, WIDTH
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX
 
+#: What else the bench's sizes are called: of a cylinder, and of the plate under it.
+_DIAMETER, _WINDOW = "crystal_diameter_mm", "window_width_mm"
 #: Lowest and highest values by name, of numbers that the rest of the bench limits.
 Room = Mapping[str, tuple[float, float]]
 #: Standard uncertainties by which a number is moved either way to see what it does. Photons of both
@@ -96,7 +98,7 @@ class Tolerance:
         """The effect that the number is wrong: beyond what its uncertainty allows."""
         words, (low, high) = self.number.words, self.farthest
         usual = _USUALLY_BY * self.sigma
-        nodes = {low, *self.near, high}
+        nodes = {low, *self.near, high} - {0.0}  # an end may be where it is
         if self.number.is_index:
             nodes |= {_BETWEEN * low, _BETWEEN * high}
         return Effect(
@@ -211,13 +213,14 @@ def _refuse_name(table: TomlTable, name: str, scene: SceneFile, known: Collectio
 
 
 def _room(rows: Sequence[Mapping[str, Value]]) -> Room:
-    """Where numbers must stay so that light is born inside the crystal, in all rows."""
-    with_place = (row for row in rows if {SOURCE_Z, HEIGHT} <= row.keys())
-    born = [(float(row[SOURCE_Z]), float(row[HEIGHT])) for row in with_place]
-    if not born:
-        return {}
-    places, heights = zip(*born, strict=True)
-    return {SOURCE_Z: (0.0, min(heights)), HEIGHT: (max(places), math.inf)}
+    """Where numbers must stay so that light is born in the crystal, on its window, in all rows."""
+    room = dict[str, tuple[float, float]]()
+    for inner, outer in ((SOURCE_Z, HEIGHT), (WIDTH, _WINDOW), (_DIAMETER, _WINDOW)):
+        both = [(float(r[inner]), float(r[outer])) for r in rows if {inner, outer} <= r.keys()]
+        if both and all(least <= most for least, most in both):
+            inners, outers = zip(*both, strict=True)
+            room[inner], room[outer] = (0.0, min(outers)), (max(inners), math.inf)
+    return room
 
 
 def _usual(scene: SceneFile, room: Room, part: BenchNumber) -> Tolerance | None:

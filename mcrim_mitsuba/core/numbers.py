@@ -190,8 +190,10 @@ WIDEST_USUAL_GAP_MM = 3.0
 LARGEST_USUAL_PER_CM = 30.0
 #: Scene parameter: where along the crystal light is born, above its bottom.
 SOURCE_Z = "source_z_mm"
+#: In names of depths that gammas reach; a crystal's depth is a length as any other.
+_OF_GAMMAS = ("source_depth", "side_depth")
 #: In names of what is thin by nature.
-THIN = ("gap", "film", "chamfer", "depth")
+THIN = ("gap", "film", "chamfer", *_OF_GAMMAS)
 #: Lengths that may be 0: then the part is not there.
 _MAY_BE_ZERO = ("chamfer", "film", "rim")
 #: Ranges in which parameters of effects have a meaning (the catalogue's are narrower).
@@ -274,7 +276,7 @@ def _judge_length(name: str, value: float) -> tuple[str, str, str] | None:
         return "value", "a length must be positive", "give it in mm"
     if value < shortest:
         meant, factor = "metres", 1000.0
-    elif value > longest and "depth" not in name:
+    elif value > longest and not any(word in name for word in _OF_GAMMAS):
         meant, factor = "micrometres", 1.0 / 1000.0
     else:
         return None

@@ -26,8 +26,9 @@ _REFLECTOR_SIMULATED_AT = 0.99
 def edit_top_reflector(editor: SceneEditor) -> None:
     """Lay a white reflector on the top face, behind a film of air."""
     for shape in editor.all("shape", "wrapping"):
-        problem = f"{shape.label} covers the top already"
-        raise editor.refusal(problem, "change its reflectance instead", shape)
+        if "top" not in _bare(editor.resolved()[shape]):
+            problem = f"{shape.label} covers the top already"
+            raise editor.refusal(problem, "change its reflectance instead", shape)
     editor.refuse_id("top_reflector")
     box = crystal_box(editor)
     last = max((face for faces in box.values() for face in faces), key=editor.shapes.index)

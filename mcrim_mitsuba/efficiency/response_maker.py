@@ -372,7 +372,7 @@ class ResponseMaker:
     def _plan_of_tolerance(self, tolerance: Tolerance, plain: Sequence[PlannedRun]) -> _EffectPlan:
         """A number of the bench, off a little either way."""
         effect = tolerance.wrong
-        axes = (Axis(effect.parameters[0], [0.0, *tolerance.near]),)
+        axes = (Axis(effect.parameters[0], [0.0, *filter(None, tolerance.near)]),)
         plan = self._plan_along(axes, effect, plain, is_look=True)
         return replace(plan, name=tolerance.number.name)
 

@@ -254,9 +254,11 @@ class CampaignSimulations:
     def _goes_beyond(self, minimum: Minimum) -> Beyond:
         """At which ends the readings ask for scattering that the simulations do not cover.
 
-        They do where chi2 has not risen by `ONE_SIGMA` up to there, and the campaign allows more.
+        They do where chi2 has not risen by `ONE_SIGMA` up to there, and the campaign allows more;
+        of readings that are not described, by as much more as chi2 is above what is expected.
         """
         statistic, beyond = minimum.statistic, list(self._beyond)
+        rise = ONE_SIGMA * max(minimum.chi2 / max(minimum.ndf, 1), 1.0)
         for place, bounds in enumerate(statistic.free):
             if self.campaign.stands_for(bounds.name) != ALPHA_SCAT:
                 continue
@@ -267,7 +269,7 @@ class CampaignSimulations:
                 start[place] = end
                 if goes_on[side]:
                     chi2 = newton(statistic, start, minimum.weights, held=[place]).height
-                    beyond[side] |= chi2 < minimum.chi2 + ONE_SIGMA
+                    beyond[side] |= chi2 < minimum.chi2 + rise
         return Beyond(*beyond)
 
     def fit(self) -> Calibration:

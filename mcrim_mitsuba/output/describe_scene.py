@@ -109,14 +109,14 @@ def of_spectrum(spectrum: results.SpectrumResult) -> Description:
         rows.append(row(shown(light.wavelength_nm[i], ".0f"), *values, eta, hidden=i not in seen))
     parameters = (Column(titled(name), name) for name in light.parameters)
     columns = (Column("wavelength (nm)", "wavelength_nm"), *parameters, "eta")
-    notes = []
+    notes = [*light.notes]
     if spectrum.interpolation_error > 0.0:
         nodes = ", ".join(f"{nm:.0f}" for nm in spectrum.nodes_nm)
         included = ", the noise of the simulations included" if spectrum.photons else ""
-        notes = [
+        notes.append(
             f"{'simulated' if spectrum.photons else 'solved'} at {nodes} nm; between them eta may "
             f"be wrong by {100 * spectrum.interpolation_error:.2g} %{included}"
-        ]
+        )
     title, some = "light collection efficiency over wavelengths", "some wavelengths"
     return described(title, _means(spectrum), table(some, columns, rows), notes=notes)
 

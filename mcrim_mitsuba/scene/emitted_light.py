@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from mcrim_mitsuba.core.data_table import DataTable, read_data_table
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.numbers import COEFFICIENTS
+from mcrim_mitsuba.optics.materials import Material
 from mcrim_mitsuba.optics.spectrum import Spectrum
 from mcrim_mitsuba.optics.spectrum_file import photons_over_emission, read_spectrum
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -23,6 +24,8 @@ EMISSION = "emission"
 EFFICIENCY = "efficiency"
 #: Step of integrals.
 _STEP_NM = 5.0
+#: Part of the light outside an index's range that is told.
+_NOTEWORTHY = 1e-3
 #: Light over its maximum below which a wavelength is left out.
 _FAINT = 1e-3
 
@@ -55,6 +58,8 @@ class EmittedLight:
     detected: bool
     #: The file.
     path: Path
+    #: Where indices are not known, and held.
+    notes: tuple[str, ...] = ()
 
     @property
     def weights(self) -> Array:
@@ -149,11 +154,26 @@ def read_light(
     varying = {n: values for n, values in varying.items() if (values != scene.parameters[n]).any()}
     all_seen = np.ones_like(grid)
     emitted = EmittedLight(grid, light, all_seen, varying, detected=False, path=Path(path))
+    followed = {n: index.material for n, index in scene.materials.items() if n not in columns}
+    emitted = replace(emitted, notes=tuple(_held(emitted, followed)))
     if seen is not None:
         return emitted.seen_by(Spectrum(emission.wavelength_nm, seen))
     if quantum_efficiency is not None:
         return emitted.seen_by(read_spectrum(quantum_efficiency, "quantum_efficiency"))
     return emitted
+
+
+def _held(light: EmittedLight, followed: Mapping[str, Material]) -> Iterator[str]:
+    """What is to be told of indices that follow materials beyond where these are known."""
+    for name, of in followed.items():
+        shortest, longest = of.range_nm
+        at = light.wavelength_nm
+        outside = float(light.weights[(at < shortest) | (at > longest)].sum())
+        if of.is_dispersive and outside > _NOTEWORTHY:
+            yield (
+                f"{100 * outside:.1f} % of the emission is outside {shortest:g} to {longest:g} nm, "
+                f"where the index of {of.name} is known: {name} is held there as at the end"
+            )
 
 
 def _as_named(table: DataTable, column: int) -> str:

@@ -587,6 +587,7 @@ def test_a_number_that_is_not_named_is_as_exact_as_is_usual(folder):
     more = {
         "n_window": "BK7@540nm",
         "height_mm": "30",
+        "crystal_depth_mm": "20",
         "film_mm": "0.02",
         "wrap_reflectance": "0.97",
     }
@@ -601,6 +602,8 @@ def test_a_number_that_is_not_named_is_as_exact_as_is_usual(folder):
             "gap_mm": 0.015,
             "n_window": material("BK7").sigma,
             "height_mm": 0.3,
+            # along y: no depth that gammas reach
+            "crystal_depth_mm": 0.2,
             "film_mm": 0.006,
             # its reflectance cannot be more than two of these higher
             "wrap_reflectance": 0.01,

@@ -254,6 +254,19 @@ def test_scenes_that_include_the_bench_take_effects_too(scenes, file):
             assert len(same) >= len(scene.root.findall("shape")) - 3
 
 
+def test_a_reflector_lies_on_a_top_that_the_wrapping_leaves_bare(scenes, tmp_path):
+    """Whether the file says so, or a parameter."""
+    wrapped = (scenes / "camoo4_wrapped.xml").read_text().replace("camoo4.xml", "bench.xml")
+    (tmp_path / "bench.xml").write_text((scenes / "camoo4.xml").read_text())
+    path, bare = tmp_path / "scene.xml", '<string name="without" value="{}"/>\n    <bsdf type="diff'
+    for given, faces in (("", "top"), ('  <default name="bare" value="top"/>\n', "$bare")):
+        text = wrapped.replace('<bsdf type="diff', bare.format(faces))
+        path.write_text(text.replace("  <include", f"{given}  <include"))
+        assert 'id="top_reflector"' in add("top_reflector", read_scene(path))
+    path.write_text(wrapped.replace('<bsdf type="diff', bare.format("sides")))
+    assert "wrapping covers the top already" in refusal(add, "top_reflector", read_scene(path))
+
+
 def test_an_included_file_of_another_folder_is_named(tmp_path, bench):
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts/bench.xml").write_text(bench.path.read_text())

@@ -101,6 +101,15 @@ def test_between_nodes_the_index_follows_the_dispersion():
     assert found.interpolation_error < 0.004
 
 
+def test_an_index_that_is_held_beyond_its_range_is_told(tenfold):
+    """Of CaMoO4 that from 450 nm on is known; a number, and BK7, say nothing."""
+    light = read_light(tenfold, read_scene(BENCH, {"n_crystal": "CaMoO4@540nm"}))
+    outside = light.weights[light.wavelength_nm < 450.0].sum()
+    (note,) = light.notes
+    assert note.startswith(f"{100 * outside:.1f} % of the emission is outside 450 to 3800 nm")
+    assert not read_light(tenfold, read_scene(BENCH, {"n_window": "BK7@540nm"})).notes
+
+
 def test_means_are_integrals_over_the_light(tenfold, tmp_path):
     file = read_scene(BENCH, {})
     table = np.genfromtxt(tenfold, delimiter=",", names=True)

@@ -118,6 +118,35 @@ def test_tolerances_are_simulated_once_the_grid_is_wide_enough(scenes):
     assert all_beyond - exact_beyond == all_of_it - exact > 0
 
 
+def test_a_fit_finds_little_scattering_from_any_start(scenes):
+    """Of a plastic bar that scatters 0.005 /cm, from the 0.5 /cm that examples begin with.
+
+    At the end of that start's range, 0.05 /cm, chi2 was 441 and rough, and the fit stayed there.
+    """
+    bar, fits = read_campaign(scenes / "plastic_bar.toml"), []
+    rows = [bar.measurements.readings[row] for row in (0, 1, 6, 7, 12, 13)]
+    signals = 200.4, 115.9, 124.4, 124.5, 115.8, 200.3
+    rows = [replace(r, signal=s, sigma=0.01 * s) for r, s in zip(rows, signals, strict=True)]
+    known = replace(bar.parameters["alpha_scat_per_cm"], prior=None, prior_sigma=None)
+    for start in (0.01, 0.5):
+        parameters = {**bar.parameters, known.name: replace(known, start=start)}
+        own = replace(bar, parameters=parameters, tolerances=())
+        own = replace(own, measurements=bar.measurements.with_readings(rows))
+        fits.append(CampaignSimulations(own, Run(LANES, seed=3, check=False)).fit())
+    assert all(fit.chi2 < 6 and fit.parameters[known.name].value < 0.01 for fit in fits)
+
+
+@pytest.mark.parametrize("given", ["", "crystal_width_mm = 0.05\n", "window_width_mm = 0.05\n"])
+def test_a_crystal_may_be_as_wide_as_its_window(campaign, given):
+    """What has no room is exact, or off to one side where the campaign says how far."""
+    path = campaign(ARTICLE, more=f"[tolerances]\ngap_mm = 0\n{given}")
+    scene = path.parent / "camoo4.xml"
+    scene.write_text(scene.read_text().replace('width_mm" value="28"', 'width_mm" value="10"'))
+    fit = calibrate(CampaignSimulations(read_campaign(path), Run(LANES, seed=4, check=False)))
+    names = {offset.tolerance.number.name for offset in fit.offsets}
+    assert {n for n in names if "width" in n} == {n for n in given.split() if "width" in n}
+
+
 def test_a_misfit_is_not_lessened_by_poor_simulations(campaign):
     """Liquid readings behind the narrow mask are 20 % too low, as staff tried it.
 
