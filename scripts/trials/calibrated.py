@@ -141,9 +141,10 @@ def _show(screen: terminal.Screen, outcomes: Sequence[Mapping]) -> None:
         at = (said >= low) & ((said < high) | (high == BINS[-1]))
         if at.any():
             # a campaign's causes stand for each other, so that campaigns are what is independent;
-            # where none fails their scatter tells nothing, and causes err by chance at least
+            # where all are there, or none is, their scatter tells nothing, but chance does
             over, chance = ((there - said) * at).sum(axis=1), (said * (1.0 - said))[at].sum()
-            error = math.sqrt(max(np.square(over).sum(), chance))
+            alike = there[at].all() or not there[at].any()
+            error = math.sqrt(chance if alike else np.square(over).sum())
             cells = (f"{100 * low:g} to {100 * high:g} %", f"{at.sum()}", f"{said[at].sum():.1f}")
             off = f"{over.sum() / error:+.1f}" if error else ""
             rows.append((*cells, f"{there[at].sum()}", off))

@@ -56,7 +56,7 @@ def test_draws_are_of_the_prior_and_their_scores_even(of_few):
 
 
 @pytest.mark.parametrize("said, off", [(0.994, "+0.7"), (1.0, "")])
-def test_causes_that_are_always_there_are_off_by_chance_at_least(capsys, said, off):
+def test_causes_that_are_always_there_are_off_as_by_chance(capsys, said, off):
     """86 causes, each said with 99.4 %, are all there in 60 of 100 cases."""
     outcome = {"below": 0.5, "hidden": ["gap_bubble"], "verdict": "ambiguous"}
     outcome |= {"log_density": 2.0, "crps": 0.02, "said": {"gap_bubble": said}}
