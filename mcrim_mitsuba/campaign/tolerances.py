@@ -27,8 +27,9 @@ from mcrim_mitsuba.effects.scene_edits import HEIGHT, WIDTH
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX
 
-#: What else the bench's sizes are called: of a cylinder, and of the plate under it.
-_DIAMETER, _WINDOW = "crystal_diameter_mm", "window_width_mm"
+#: A cylinder's width, and that of the plate under a crystal.
+_DIAMETER = "crystal_diameter_mm"
+_WINDOW = "window_width_mm"
 #: Lowest and highest values by name, of numbers that the rest of the bench limits.
 Room = Mapping[str, tuple[float, float]]
 #: Standard uncertainties by which a number is moved either way to see what it does. Photons of both

@@ -152,6 +152,8 @@ class ExtentSettings:
 
     #: Photons times precision squared of a usual eta (a quarter), weights included.
     photons_per_precision: float = 4.0
+    #: Scattering over that at an end of what is simulated, or under it, that is near the end.
+    near_end: float = 1.3
     #: How far, in its standard errors, a parameter may move when the effects are simulated
     #: together before they are simulated once more where it went; and how often.
     settled: float = 0.5

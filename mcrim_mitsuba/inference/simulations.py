@@ -254,11 +254,10 @@ class CampaignSimulations:
     def _goes_beyond(self, minimum: Minimum) -> Beyond:
         """At which ends the readings ask for scattering that the simulations do not cover.
 
-        They do where chi2 has not risen by `ONE_SIGMA` up to there, and the campaign allows more;
-        of readings that are not described, by as much more as chi2 is above what is expected.
+        They do where chi2 has not risen by `ONE_SIGMA` up to there, or it is near, and the campaign
+        allows more: of readings that are far from described, chi2 is steep and rough.
         """
         statistic, beyond = minimum.statistic, list(self._beyond)
-        rise = ONE_SIGMA * max(minimum.chi2 / max(minimum.ndf, 1), 1.0)
         for place, bounds in enumerate(statistic.free):
             if self.campaign.stands_for(bounds.name) != ALPHA_SCAT:
                 continue
@@ -268,8 +267,9 @@ class CampaignSimulations:
                 start = minimum.theta.copy()
                 start[place] = end
                 if goes_on[side]:
+                    near = abs(math.log(minimum.theta[place] / end)) < math.log(EXTENT.near_end)
                     chi2 = newton(statistic, start, minimum.weights, held=[place]).height
-                    beyond[side] |= chi2 < minimum.chi2 + rise
+                    beyond[side] |= near or chi2 < minimum.chi2 + ONE_SIGMA
         return Beyond(*beyond)
 
     def fit(self) -> Calibration:
