@@ -114,10 +114,13 @@ class Coverage:
     proposals: ScatteringProposals
 
 
-def coverage_of(campaign: Campaign, beyond: Beyond = WITHIN) -> Coverage:
+def coverage_of(
+    campaign: Campaign, beyond: Beyond = WITHIN, most_per_cm: float = math.inf
+) -> Coverage:
     """What covers all that a campaign may ask for; the same for most, so that the cache serves all.
 
-    A fit that goes `beyond` the usual range has it go on at that end.
+    A fit that goes `beyond` the usual range has it go on at that end, up to a scattering of
+    `most_per_cm`, above which photons do not tell eta.
     """
     starts = [parameter.start for parameter in _of_samples_too(campaign, ALPHA_SCAT)]
     if ALPHA_SCAT not in campaign.parameters:
@@ -137,6 +140,8 @@ def coverage_of(campaign: Campaign, beyond: Beyond = WITHIN) -> Coverage:
         allowed = max(parameter.maximum for parameter in _of_samples_too(campaign, ALPHA_SCAT))
         least = min(least, _WIDE_RANGE_PER_CM[0]) if beyond.low else least
         most = max(most, min(allowed, _WIDE_RANGE_PER_CM[1])) if beyond.high else most
+    if any(beyond) or most > most_per_cm:
+        most = min(most, most_per_cm)
         proposals = choose_proposals(least, most, absorption[0])
     ranges = (least, most), absorption
     return Coverage(Grid(*ranges), Grid(*ranges, coarse=True), proposals)

@@ -146,7 +146,7 @@ class ResponseMaker:
     of light in a wrapping get what their errors ask for, as a first look at the bench tells: the
     fewest, by powers of two, with which eta's error is below `_PRECISE` of the reading's. `what` is
     its name in progress. The range of alpha_scat goes on beyond the usual lower or higher end where
-    a fit does.
+    a fit does, and up to `most_per_cm`.
     """
 
     def __init__(
@@ -158,6 +158,7 @@ class ResponseMaker:
         part: float = 1.0,
         sigma: float | None = None,
         beyond: Beyond = WITHIN,
+        most_per_cm: float = math.inf,
     ) -> None:
         self.campaign, self._sigma = campaign, sigma
         self._readings = campaign.measurements.readings
@@ -167,7 +168,7 @@ class ResponseMaker:
         self._look_photons = max(round(LOOK_PART * units), 1) * LANES
         self._check = run.check
         self._open_mask = has_open_mask(campaign.scene)
-        coverage, light = coverage_of(campaign, beyond), campaign.spectrum
+        coverage, light = coverage_of(campaign, beyond, most_per_cm), campaign.spectrum
         self.grid, self._coarse = coverage.fine, coverage.coarse
         colours = None if light is None else light.colours(_MOST_COLOURS)
         #: Account of the simulations: photons, what the cache had, notes.

@@ -16,8 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mcrim_mitsuba.effects.effect import EffectParameter
-from mcrim_mitsuba.efficiency.eta_grid import EtaGrid, Grid
+from mcrim_mitsuba.efficiency.eta_grid import EtaGrid, Grid, standard_error
 from mcrim_mitsuba.efficiency.surface import Cubics, Lagrange
+
+#: Relative error of eta at a node, above which its photons do not tell it: few carry all weight.
+_UNKNOWN = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,6 +221,18 @@ class Responses:
     effects: Mapping[str, EffectResponse] = field(default_factory=dict)
     #: All photons behind it.
     photons: int = 0
+
+    @cached_property
+    def told_to_per_cm(self) -> float:
+        """Scattering up to which photons tell every reading's eta; infinite if in the whole grid.
+
+        Of a long crystal none may arrive at the highest nodes, whatever weights say, and what is
+        wrong there moves the polynomial everywhere. No node is given up if already the lowest is
+        not known.
+        """
+        errors = standard_error(self.deviations.astype(np.float64)).max(axis=(0, 2))
+        first = int(np.argmax(errors > _UNKNOWN))
+        return float(np.exp(self.grid.scattering.nodes[first - 1])) if first else math.inf
 
     @cached_property
     def coarser(self) -> NDArray[np.float64]:

@@ -181,7 +181,7 @@ class CampaignSimulations:
         self._anchor: Anchor | None = None
         # of the campaign as it is by its responses, found to see whether its grid is wide enough
         self._minima: list[Minimum] = []
-        self._beyond = Beyond()
+        self._beyond, self._most_per_cm = Beyond(), math.inf
         self._fit: Calibration | None = None
         self.notes: list[str] = []
         #: Effects that the scene cannot take, with the reason; filled by `possible`.
@@ -227,9 +227,7 @@ class CampaignSimulations:
             models = CampaignModels(
                 campaign=without, responses=of_bench, anchor=None, precise=frozenset()
             )
-            beyond = self._goes_beyond(find_minima(Statistic(models.model()))[0])
-            if beyond != self._beyond:
-                self._beyond = beyond
+            if not self._is_covered(models):
                 del self.maker
         self._models = CampaignModels(
             campaign=self.campaign,
@@ -237,19 +235,31 @@ class CampaignSimulations:
             anchor=self._anchor,
             precise=precise,
         )
-        if not all(self._beyond) and not self._minima:
-            self._minima = find_minima(Statistic(self._models.model()))
-            beyond = self._goes_beyond(self._minima[0])
-            if beyond != self._beyond:
-                self._beyond, self._models, self._minima = beyond, None, []
-                del self.maker
-                return self.simulate(effects, look)
+        if not self._is_covered(self._models):
+            self._models = None
+            del self.maker
+            return self.simulate(effects, look)
         if self._anchor is None and not self.maker.is_exact(self.campaign.switched_on):
             fit = self._anchored(self.campaign, profile=False)
             assert isinstance(fit.model, ResponseModel)
             self._anchor = fit.model.anchor
             self._models = replace(self._models, anchor=self._anchor)
         return self._models
+
+    def _is_covered(self, models: CampaignModels) -> bool:
+        """Whether scattering is simulated as far as readings ask, and no farther than is told.
+
+        If not, its range is set anew.
+        """
+        if (told := models.responses.told_to_per_cm) < self._most_per_cm:
+            self._most_per_cm = told
+            return False
+        if all(self._beyond) or self._minima:
+            return True
+        minima, before = find_minima(Statistic(models.model())), self._beyond
+        self._beyond = self._goes_beyond(minima[0])
+        self._minima = minima if self._beyond == before and models.campaign is self.campaign else []
+        return self._beyond == before
 
     def _goes_beyond(self, minimum: Minimum) -> Beyond:
         """At which ends the readings ask for scattering that the simulations do not cover.
@@ -262,7 +272,8 @@ class CampaignSimulations:
             if self.campaign.stands_for(bounds.name) != ALPHA_SCAT:
                 continue
             allowed = self.campaign.parameters[bounds.name]
-            goes_on = bounds.minimum > allowed.minimum, bounds.maximum < allowed.maximum
+            most = min(allowed.maximum, self._most_per_cm)
+            goes_on = bounds.minimum > allowed.minimum, bounds.maximum < most
             for side, end in enumerate((bounds.minimum, bounds.maximum)):
                 start = minimum.theta.copy()
                 start[place] = end
@@ -355,7 +366,10 @@ class CampaignSimulations:
         """What makes responses of a campaign, its progress shown under a name."""
         # what cannot be diagnosed takes little time as it is
         sigma = self._usual_sigma(of_beam=False) if self.campaign.ndf > 0 else None
-        maker = ResponseMaker(campaign, self.run, what, part=part, sigma=sigma, beyond=self._beyond)
+        most = self._most_per_cm
+        maker = ResponseMaker(
+            campaign, self.run, what, part=part, sigma=sigma, beyond=self._beyond, most_per_cm=most
+        )
         self._schedules.append(maker.schedule)
         return maker
 
