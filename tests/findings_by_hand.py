@@ -118,7 +118,8 @@ def candidate(
         tuple(sizes),
         {"value": 7.52, "sigma": 0.2, "change": -0.095},
         *(plausible, any(s.at_bound for s in sizes.values()), 0.5, mimics),
-        *("surface", "Polish it again."),
+        "surface",
+        "Polish it again.",
     )
 
 

@@ -139,8 +139,10 @@ def read_parameter(
         raise table.refusal("", f"{name} has no start value", "add start = ...")
     if fixed or ("min" in given and "max" in given):
         usual: tuple[float, float] | None = (-math.inf, math.inf)
+    elif known_range is not None:
+        usual = known_range[1:]
     else:
-        usual = known_range[1:] if known_range is not None else _usual_range(name, in_scene, given)
+        usual = _usual_range(name, in_scene, given)
     if usual is None:
         problem = f"no range of {name} is known"
         raise table.refusal("", problem, "give min and max, or fixed = true")

@@ -173,8 +173,9 @@ def _refuse_monsters(document: TomlDocument) -> None:
         if depth > _DEEPEST:
             raise _too_deep(document.path, document.lines.get(name))
         if isinstance(value, dict):
-            named = ((f"{name}.{key}".lstrip("."), inner) for key, inner in value.items())
-            values += [(*entry, depth + 1) for entry in named]
+            values += [
+                (f"{name}.{key}".lstrip("."), inner, depth + 1) for key, inner in value.items()
+            ]
         elif isinstance(value, list):
             values += [(name, inner, depth + 1) for inner in value]
         elif isinstance(value, int) and abs(value) > _LARGEST_WHOLE:

@@ -154,12 +154,10 @@ class EtaGrid:
     def usual_error(self) -> float:
         """Relative standard error of eta in the middle of the grid."""
         _, rows, columns = self.deviations.shape
-        return float(
-            self.deviations[:, rows // 2, columns // 2].std(ddof=1) / np.sqrt(len(self.deviations))
-        )
+        return float(standard_error(self.deviations[:, rows // 2, columns // 2]))
 
 
-def standard_error(batches: NDArray[np.float64]) -> NDArray[np.float64]:
+def standard_error(batches: NDArray[np.floating]) -> NDArray[np.float64]:
     """Standard error of the mean of (batches, ...) values."""
     return np.asarray(batches.std(axis=0, ddof=1) / math.sqrt(len(batches)), np.float64)
 

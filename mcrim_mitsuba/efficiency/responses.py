@@ -230,7 +230,7 @@ class Responses:
         wrong there moves the polynomial everywhere. No node is given up if already the lowest is
         not known.
         """
-        errors = standard_error(self.deviations.astype(np.float64)).max(axis=(0, 2))
+        errors = standard_error(self.deviations).max(axis=(0, 2))
         first = int(np.argmax(errors > _UNKNOWN))
         return float(np.exp(self.grid.scattering.nodes[first - 1])) if first else math.inf
 

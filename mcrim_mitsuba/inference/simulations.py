@@ -251,10 +251,12 @@ class CampaignSimulations:
 
         If not, its range is set anew.
         """
-        if (told := models.responses.told_to_per_cm) < self._most_per_cm:
-            self._most_per_cm = told
+        if self._minima:
+            return True
+        if (most := models.responses.told_to_per_cm) < self._most_per_cm:
+            self._most_per_cm = most
             return False
-        if all(self._beyond) or self._minima:
+        if all(self._beyond):
             return True
         minima, before = find_minima(Statistic(models.model())), self._beyond
         self._beyond = self._goes_beyond(minima[0])

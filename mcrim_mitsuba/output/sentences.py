@@ -85,7 +85,9 @@ def reading_label(reading: FittedRow | Reading) -> str:
 
 def added_text(step: RepairStep) -> str:
     """What a step of a repair adds: ``+ air bubble in the gap``, of the first ``as it came``."""
-    return f"+ {step.title or step.added}" if step.added is not None else step.title or "as it came"
+    if step.added is None:
+        return step.title or "as it came"
+    return f"+ {step.title or step.added}"
 
 
 def light_text(fit: Calibration) -> str:

@@ -535,8 +535,8 @@ class _Assembly:
             problem += f": Mitsuba would silently read it as '{silently}'"
             return InputError(problem, f"write ${start} or declare {name}", **place)
         if (meant := self.misdeclared(name)) is not None:
-            problem = f"{meant.name} is declared, and used nowhere; ${name} is used"
-            problem += ", and not declared"
+            problem = f"{meant.name} is declared, and used nowhere; "
+            problem += f"${name} is used, and not declared"
             mend = f"if {name} is meant here, write it so"
             return InputError(problem, mend, path=meant.path, line=meant.line)
         guess = f"{did_you_mean(name, self.texts)}; or " if closest(name, self.texts) else ""

@@ -60,9 +60,15 @@ def campaign(campaign_here) -> str:
 
 def repaired(diagnosis) -> Repaired:
     """Where nothing was added."""
-    files = {"campaign_path": None, "scene_path": None}
-    made = {"provenance": by.PROVENANCE, "simulations": None}
-    return Repaired(diagnosis=diagnosis, effects=(), fit=by.calibration(), **files, **made)
+    return Repaired(
+        diagnosis=diagnosis,
+        effects=(),
+        fit=by.calibration(),
+        campaign_path=None,
+        scene_path=None,
+        provenance=by.PROVENANCE,
+        simulations=None,
+    )
 
 
 @pytest.fixture
@@ -221,13 +227,11 @@ def test_what_is_no_new_reading_is_done_first(mcrim, campaign, found):
     words = "look for air bubble in the gap"
     look = replace(
         by.diagnosis("ambiguous").next_measurements[0],
-        **{
-            "kind": "look",
-            "parameters": {},
-            "also": None,
-            "light_yield_kept": 0.96,
-            "words": words,
-        },
+        kind="look",
+        parameters={},
+        also=None,
+        light_yield_kept=0.96,
+        words=words,
     )
     unknown = replace(look, light_yield_sigma=None, light_yield_kept=None)
     found["diagnose"] = by.diagnosis("ambiguous", next_measurements=(look, unknown))
