@@ -229,6 +229,7 @@ class CampaignSimulations:
             )
             if not self._is_covered(models):
                 del self.maker
+                return self.simulate(effects, look)
         self._models = CampaignModels(
             campaign=self.campaign,
             responses=self.maker.make(wanted, set(look) - precise, pairs=pairs),
