@@ -384,11 +384,11 @@ _ID = Column("id", "effect", left=True, small=True)
 _LIGHT = Column("light yield", LIGHT_YIELD)
 _LEGEND_OF_EXPLANATIONS = (
     "probability: among all that was tried and nothing, averaged over plausible sizes, with what "
-    "adds nothing to it; Bayes factor: what the readings do to the odds of the effect alone; light "
-    "yield: photons per keV, and its change; gain: fall of chi2, with the simulation's error; p, "
-    "fit: of the fit with the effect; left out: rms error on readings left out of the fit, in "
-    "standard errors"
+    "adds nothing to it; Bayes factor: what the readings do to the odds of the effect alone; "
+    "{}gain: fall of chi2, with the simulation's error; p, fit: of the fit with the effect; left "
+    "out: rms error on readings left out of the fit, in standard errors"
 )
+_LEGEND_OF_LIGHT = "light yield: photons per keV, and its change; "
 
 
 def _size(candidate: Candidate) -> Cell:
@@ -424,10 +424,13 @@ def _bayes_factor(candidate: Candidate) -> Cell:
     return Cell(text, log)
 
 
+def _has_light_yield(candidates: Sequence[Candidate]) -> bool:
+    return any(candidate.light_yield_ph_per_keV is not None for candidate in candidates)
+
+
 def candidates_table(diagnosis: Diagnosis, candidates: Sequence[Candidate], heading: str) -> Table:
     """Effects, or pairs of them, as explanations; bold what leads; yields where they are known."""
     leading, probabilities = sentences.leading_candidates(diagnosis), diagnosis.probabilities
-    no_light_yield = all(candidate.light_yield_ph_per_keV is None for candidate in candidates)
 
     def title(candidate: Candidate) -> str:
         return capital(" + ".join(sentences.titles_of(diagnosis, candidate.effects)))
@@ -442,7 +445,7 @@ def candidates_table(diagnosis: Diagnosis, candidates: Sequence[Candidate], head
         Column("", "parameter", of=lambda c: Cell("", tuple(c.sizes) or None), hidden=True),
         Column("size", of=_size, left=True),
         Column("plausible?", "plausibility", of=sentences.plausibility, left=True),
-        replace(_LIGHT, of=_yield_with, hidden=no_light_yield),
+        replace(_LIGHT, of=_yield_with, hidden=not _has_light_yield(candidates)),
         Column("gain in chi2", "delta_chi2", of=_gain),
         Column("p, fit", "p_value", p_text),
         Column("left out", "left_out_error", number),
@@ -463,8 +466,9 @@ def explanation_tables(diagnosis: Diagnosis) -> list[Table]:
 def explanation_pieces(diagnosis: Diagnosis) -> list[Piece]:
     """What columns of explanations mean, families of effects, and what is alike."""
     families = f"By family (they may act together): {sentences.family_probabilities(diagnosis)}"
+    of_light = _LEGEND_OF_LIGHT if _has_light_yield(diagnosis.candidates) else ""
     return [
-        _LEGEND_OF_EXPLANATIONS if diagnosis.candidates else "",
+        _LEGEND_OF_EXPLANATIONS.format(of_light) if diagnosis.candidates else "",
         families if diagnosis.families else "",
         sentences.mistakable(diagnosis),
         sentences.capability_text(diagnosis),

@@ -539,6 +539,17 @@ def test_a_hopeless_effect_hides_no_other_and_what_has_no_name_has_a_row():
     assert {len(row) for row in drawing.rows} == {len(drawing.columns)}
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_columns_that_are_there_are_explained(known):
+    """A campaign without [light_yield] was told what the column of light yields means."""
+    made = by.CANDIDATES
+    if not known:
+        made = tuple(replace(of, light_yield_ph_per_keV=None) for of in made)
+    found = by.diagnosis("adequate", candidates=made)
+    legend, *_ = describe_campaign.explanation_pieces(found)
+    assert ("light yield" in legend) == known
+
+
 @pytest.mark.parametrize("brief", [True, False])
 def test_titles_are_whole_and_within_their_figure(brief):
     title = "WEIGHT " * 30 + "END"
