@@ -279,7 +279,7 @@ def _live_times(spectrum: ChannelSpectrum, background: ChannelSpectrum) -> float
     for each, time in zip((spectrum, background), times, strict=True):
         if time is None:
             raise InputError(
-                "the file does not say its live time, by which the background is subtracted",
+                "the file does not say its live time in seconds, to subtract the background by it",
                 "give live_time_s (of the spectra) and background_live_time_s under [calibration]",
                 path=each.path,
             )

@@ -305,6 +305,15 @@ def test_live_times_are_read_from_comments(tmp_path):
     rows = "".join(f"{i}\t{n:g}\n" for i, n in enumerate(peak_of(150.0)))
     path.write_text(f"Live Time (s): 600.5\nchannel\tcounts\n{rows}")
     assert read_channels(path).live_time_s == 600.5
+    for said in ("1,200.5 s", "600,5 s", "10 min", "0:10:00", "0.98 (fraction)", "98 %", "1 200"):
+        path.write_text(f"# live time: {said}\nchannel\tcounts\n{rows}")
+        assert read_channels(path).live_time_s is None, said
+    for said in (" [ms]: 600000", " (%): 98"):
+        path.write_text(f"# live time{said}\nchannel\tcounts\n{rows}")
+        assert read_channels(path).live_time_s is None, said
+    for said in ("=600s", " 600 Real Time 612", ",600,real time,612", " in seconds: 6e2"):
+        path.write_text(f"# live time{said}\nchannel\tcounts\n{rows}")
+        assert read_channels(path).live_time_s == 600.0, said
     path.write_text(f"Live Time (s): 0\nchannel\tcounts\n{rows}")
     assert "its live time is 0 s" in refusal(read_channels, path)
 
