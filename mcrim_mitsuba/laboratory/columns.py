@@ -27,6 +27,11 @@ _PER_EVENT = re.compile(
 _PER_EVENT_UNITS = ("pe", "p.e.", "phe", "v", "mv", "pc", "fc")
 _OF_BINS = re.compile(r"count|event|entr|hits|freq|anzahl|häufig")
 _PHOTOELECTRONS = re.compile(r"photon|electron|(?<![a-z])p\.?h?\.?e(?![a-z])")
+#: An energy is calibrated by the peak itself; an edge is half a bin away from the bin's centre.
+_NO_CENTRES = re.compile(
+    r"edge|bin.?(low|upp|left|right)|(low|upp|left)\w*.?bin"
+    r"|^(?!.*(photon|electron)).*(energ|(?<![a-z])[km]ev(?![a-z]))"
+)
 _CHANNELS = re.compile(
     r"(?<![a-z])(adc|ch|chan|chans|channels?|mca|lsb|kan[aä]le?)(?![a-z])|канал"
     r"|^bins?(?!.?(cent|mid|low|upp|edge))"
@@ -73,11 +78,15 @@ def refuse_uncalibrated(table: DataTable, bins: Array, counts: Array) -> None:
     A list of events must say what it holds, unless these are small whole numbers.
     """
     name = _first_name(table)
+    unit = (table.units[0] or "").lower() if table.units else ""
+    if _NO_CENTRES.search(f"{name} {unit}"):
+        problem = f"the first column, {name}, has energies or edges of bins"
+        mend = "write centres of bins, in photons per event, or in channels with a [calibration]"
+        raise InputError(problem, mend, path=table.path)
     if _PHOTOELECTRONS.search(name):
         return
     if _CHANNELS.search(name):
         raise uncalibrated(f"the first column, {name}, holds channels of a digitiser", table.path)
-    unit = (table.units[0] or "").lower() if table.units else ""
     if _PER_EVENT.search(name) or unit in _PER_EVENT_UNITS:
         return
     if (place := _pedestal(bins, counts)) is not None:
