@@ -81,8 +81,7 @@ def refuse_uncalibrated(table: DataTable, bins: Array, counts: Array) -> None:
     unit = (table.units[0] or "").lower() if table.units else ""
     if _NO_CENTRES.search(f"{name} {unit}"):
         problem = f"the first column, {name}, has energies or edges of bins"
-        mend = "write centres of bins, in photons per event, or in channels with a [calibration]"
-        raise InputError(problem, mend, path=table.path)
+        raise InputError(problem, "give centres: photons or calibrated channels", path=table.path)
     if _PHOTOELECTRONS.search(name):
         return
     if _CHANNELS.search(name):

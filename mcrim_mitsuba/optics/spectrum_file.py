@@ -401,12 +401,11 @@ def photons_over_emission(
     """What turns an emission into photons, up to a constant: 1, or (points,) that rise with nm.
 
     Raises InputError if neither the column's name and unit nor comments say photons or power, or if
-    they say that it is a density over something else than the `unit` of the table's wavelengths.
+    they say per eV where the `unit` of the wavelengths is nm, or the reverse.
     """
     title = " ".join(filter(None, (table.names[value] if table.names else "", table.units[value])))
-    right, wrong = _OVER_LENGTH, _OVER_ENERGY
-    if unit in _RECIPROCAL:
-        right, wrong = wrong, right
+    over = _OVER_LENGTH, _OVER_ENERGY
+    right, wrong = over[::-1] if unit in _RECIPROCAL else over
     said = [text for text in (title, *table.comments) if right.search(text) or wrong.search(text)]
     if said and not right.search(said[0]):
         problem = f"'{said[0]}' is no intensity per {unit or 'nm'}, in which its wavelengths are"

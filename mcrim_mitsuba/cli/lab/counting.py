@@ -191,8 +191,7 @@ def _lines(fitted: list, energies: str | None) -> tuple[dict, list[dict]]:
 
     given = [parse_number("--lines", text) for text in energies.split(",")] if energies else []
     if given and (min(given) < ENERGIES_KEV[0] or len(set(given)) < len(given)):
-        mend = "give each once, in keV: 511 for 0.511 MeV"
-        raise InputError(f"--lines {energies} are no energies in keV", mend)
+        raise InputError(f"--lines {energies} are no energies", "give each once, in keV, not MeV")
     found = {of.name: lines_of(of.histogram, given) for of in fitted if given}
     return found, [
         {"histogram": name, **attributes(line, _OF_LINE), "peak": _peak_json(line.peak)}
