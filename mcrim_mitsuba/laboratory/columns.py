@@ -28,10 +28,7 @@ _PER_EVENT_UNITS = ("pe", "p.e.", "phe", "v", "mv", "pc", "fc")
 _OF_BINS = re.compile(r"count|event|entr|hits|freq|anzahl|häufig")
 _PHOTOELECTRONS = re.compile(r"photon|electron|(?<![a-z])p\.?h?\.?e(?![a-z])")
 #: An energy is calibrated by the peak itself; an edge is half a bin away from the bin's centre.
-_NO_CENTRES = re.compile(
-    r"edge|bin.?(low|upp|left|right)|(low|upp|left)\w*.?bin"
-    r"|^(?!.*(photon|electron)).*(energ|(?<![a-z])[km]ev(?![a-z]))"
-)
+_NO_CENTRES = re.compile(r"edge|bin.?low|^(?!.*(photon|electron)).*(energ|[km]ev\b)")
 _CHANNELS = re.compile(
     r"(?<![a-z])(adc|ch|chan|chans|channels?|mca|lsb|kan[aä]le?)(?![a-z])|канал"
     r"|^bins?(?!.?(cent|mid|low|upp|edge))"
