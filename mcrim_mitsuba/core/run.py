@@ -156,9 +156,9 @@ class Run:
             what, mend = "the number of threads", f"give a whole number, 1 to {MOST_THREADS}"
             taken["threads"] = whole_of(what, self.threads, mend, 1, MOST_THREADS)
         if self.precision is not None:
-            what, mend = "the precision", "give a relative error above 0"
+            what, mend = "the precision", "give a relative error above 0, 0.5 at most"
             taken["precision"] = number_of(what, self.precision, mend)
-            if not taken["precision"] > 0:
+            if not 0 < taken["precision"] <= 0.5:  # 2 is meant for 2 %
                 raise InputError(f"{what} is {self.precision}", mend)
         if not isinstance(self.variant, str):
             raise InputError(f"the variant is {self.variant}", f"give a name: {DEFAULT_VARIANT}")

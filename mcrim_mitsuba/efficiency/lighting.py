@@ -288,8 +288,11 @@ class EtaMap(OverAxes):
         line.
         """
         table = read_data_table(path, roles=_DEPOSITS)
-        if len(table.values.T) != len(_DEPOSITS):
-            problem = f"{len(table.values.T)} columns instead of {', '.join(_DEPOSITS)}"
+        pairs = zip(table.names or (), table.units, strict=False)
+        named = ["_".join(filter(None, pair)) for pair in pairs]
+        mixed = any(n.lower() not in (axis, axis[0]) for n, axis in zip(named, _AXES, strict=False))
+        if mixed or len(table.values.T) != len(_DEPOSITS):
+            problem = f"columns {', '.join(named) or len(table.units)}, not {', '.join(_DEPOSITS)}"
             raise _refused(table.path, int(table.lines[0]), problem)
         *places, energy = table.values.T
         cells, wrong = [], [(energy < 0.0, energy, "energy_keV = {:g} is negative")]

@@ -232,7 +232,8 @@ def calibrated(
     spectrum = with_live_time(spectrum, calibration.live_time_s, calibration.dead_time_us)
     if (pedestal := calibration.pedestal) is None:  # its own, below its main peak
         pedestal = fit_pedestal(spectrum.channels, spectrum.counts)
-        main = main_peak(spectrum.channels, spectrum.counts)
+        lowest = pedestal.position + 1.0 / calibration.per_channel if pedestal else math.inf
+        main = main_peak(spectrum.channels, spectrum.counts, above=lowest)
         if pedestal is None or main is None or main.centroid - main.width < pedestal.position:
             mend = 'give it under [calibration]: pedestal = 120, or a run: pedestal = "dark.csv"'
             raise InputError("no pedestal stands out at the low end", mend, path=spectrum.path)
@@ -244,7 +245,8 @@ def calibrated(
     photons = (spectrum.channels - pedestal.position) * calibration.per_channel
     step = photons[1] - photons[0]
     if width is None:
-        place = main_peak(photons, counts, spectrum.counts if background is not None else None)
+        variances = None if background is None else spectrum.counts
+        place = main_peak(photons, counts, variances, above=1.0 + step)
         width = place.width if place is not None else step
     join = max(int(width / (_FINE * step)), 1)
     bins = len(photons) // join
@@ -279,7 +281,7 @@ def _live_times(spectrum: ChannelSpectrum, background: ChannelSpectrum) -> float
     for each, time in zip((spectrum, background), times, strict=True):
         if time is None:
             raise InputError(
-                "the file does not say its live time, by which the background is subtracted",
+                "the file does not say its live time in seconds, to subtract the background by it",
                 "give live_time_s (of the spectra) and background_live_time_s under [calibration]",
                 path=each.path,
             )

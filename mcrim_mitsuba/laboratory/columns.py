@@ -27,6 +27,8 @@ _PER_EVENT = re.compile(
 _PER_EVENT_UNITS = ("pe", "p.e.", "phe", "v", "mv", "pc", "fc")
 _OF_BINS = re.compile(r"count|event|entr|hits|freq|anzahl|häufig")
 _PHOTOELECTRONS = re.compile(r"photon|electron|(?<![a-z])p\.?h?\.?e(?![a-z])")
+#: An energy is calibrated by the peak itself; an edge is half a bin away from the bin's centre.
+_NO_CENTRES = re.compile(r"edge|bin.?low|^(?!.*(photon|electron)).*(energ|[km]ev\b)")
 _CHANNELS = re.compile(
     r"(?<![a-z])(adc|ch|chan|chans|channels?|mca|lsb|kan[aä]le?)(?![a-z])|канал"
     r"|^bins?(?!.?(cent|mid|low|upp|edge))"
@@ -73,11 +75,14 @@ def refuse_uncalibrated(table: DataTable, bins: Array, counts: Array) -> None:
     A list of events must say what it holds, unless these are small whole numbers.
     """
     name = _first_name(table)
+    unit = (table.units[0] or "").lower() if table.units else ""
+    if _NO_CENTRES.search(f"{name} {unit}"):
+        problem = f"the first column, {name}, has energies or edges of bins"
+        raise InputError(problem, "give centres: photons or calibrated channels", path=table.path)
     if _PHOTOELECTRONS.search(name):
         return
     if _CHANNELS.search(name):
         raise uncalibrated(f"the first column, {name}, holds channels of a digitiser", table.path)
-    unit = (table.units[0] or "").lower() if table.units else ""
     if _PER_EVENT.search(name) or unit in _PER_EVENT_UNITS:
         return
     if (place := _pedestal(bins, counts)) is not None:

@@ -26,7 +26,12 @@ _ROOT = ".root"
 _FEWEST_CHANNELS = 8
 #: Histograms that are listed where none is named.
 _MOST_LISTED = 12
-_LIVE_TIME = re.compile(r"live[ _-]?time[^0-9.+-]*([0-9.]+(?:e[+-]?[0-9]+)?)", re.IGNORECASE)
+#: In seconds: what has another unit, a decimal comma or a comma of thousands is not taken for them.
+_LIVE_TIME = re.compile(
+    r"live[ _-]?time(?:[^\w.%+-]*(?:in )?s(?:ecs?|econds?)?\b)?[^\w.%+-]*(?:- )?"
+    r"(\d+\.?\d*(?:e[+-]?\d+)?)\s*(?:s(?:ecs?|econds?)?\b\s*)?(?:$|[,;)\]](?!\d)|\w+[ _-]?time)",
+    re.IGNORECASE,
+)
 _INSTALL = "pip install 'mcrim-mitsuba[formats]'"
 _EXPORT = "or export it as two columns of text, channel and counts"
 

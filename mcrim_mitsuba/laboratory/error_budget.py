@@ -246,7 +246,7 @@ ADVICE: dict[str, Advice] = {
     "photoelectron scale": Advice(
         "single photoelectrons: more events; the ranges' ratio: one pulse in both"
     ),
-    "pedestal": Advice("a longer run in the dark, before and after"),
+    "pedestal": Advice("longer runs in the dark, a nonlinearity that is measured better"),
     "crosstalk": Advice("dark counts against the threshold, at this overvoltage"),
     "tolerances": Advice("the bench's numbers, measured again"),
     "tolerance": Advice("this number, measured again"),

@@ -58,12 +58,16 @@ class Found:
     high_level: float = 0.0
 
 
-def main_peak(values: Array, counts: Array, variances: Array | None = None) -> Found | None:
+def main_peak(
+    values: Array, counts: Array, variances: Array | None = None, above: float = -math.inf
+) -> Found | None:
     """The main peak: of the large ones that of the highest value; None where none stands out.
 
-    Bin centres ascend, all bins of one width; `variances`, (bins,), where they are not Poisson's.
+    Bin centres ascend, all bins of one width; `variances`, (bins,), where they are not Poisson's;
+    a pedestal that is not `above`, however large, does not count.
     """
     smooth, tops, _, areas = _clear_peaks(counts, variances)
+    tops, areas = tops[values[tops] > above], areas[values[tops] > above]
     if not len(tops):
         return None
     main = np.flatnonzero(areas >= _LARGE * areas.max())[-1]

@@ -76,7 +76,8 @@ def fit_peak(
     whole = photoelectrons or numbers_per_bin(values) is not None
     _check(values, shape, window, whole)
     if window is None:
-        place = main_peak(values, counts, variances)
+        lowest = 1.0 + values[1] - values[0] if photoelectrons else -math.inf
+        place = main_peak(values, counts, variances, above=lowest)
     else:
         inside = _inside(values, window)
         place = peak_inside(values[inside], counts[inside])

@@ -191,6 +191,9 @@ _POWER = re.compile(
     r"(^|[^A-Za-z])[mµμun]?(W|J)($|[^A-Za-z])|(?i:power|energy|irradian|radian[ct]|\bwatts?\b)"
 )
 _PER_NM = re.compile(r"(\S+?)\s*(?:\bper\b|/)\s*(?:nm|µm|μm|Å|eV)\b", re.I)
+#: What a density is over: wavelengths, and energies or wave numbers.
+_OVER_LENGTH = re.compile(r"(\bper|/)\s*(nm|[uµμ]m|Å)\b|\bnm\s*\^?[-−⁻][1¹]", re.I)
+_OVER_ENERGY = re.compile(r"(\bper|/)\s*(m?eV|1/cm|cm\s*\^?[-−⁻]1)|\beV\s*\^?[-−⁻][1¹]", re.I)
 # "5 percent" is a number of something else
 _SAYS_PERCENT = re.compile(
     r"[(\[/,]\s*%\s*([)\],;\t]|$)|%\s*T\b|\bT\s*%"
@@ -393,9 +396,16 @@ def _emission(
 def photons_over_emission(table: DataTable, value: int, wavelength_nm: Array) -> Array | float:
     """What turns an emission into photons, up to a constant: 1, or (points,) that rise with nm.
 
-    Raises InputError if neither the column's name and unit nor comments say photons or power.
+    Raises InputError if neither the column's name and unit nor comments say photons or power, or if
+    they say per eV where wavelengths are in nm, or the reverse.
     """
     title = " ".join(filter(None, (table.names[value] if table.names else "", table.units[value])))
+    over = _OVER_LENGTH, _OVER_ENERGY
+    right, wrong = over[::-1] if any(unit in _RECIPROCAL for unit in table.units) else over
+    said = [text for text in (title, *table.comments) if right.search(text) or wrong.search(text)]
+    if said and not right.search(said[0]):
+        problem = f"'{said[0]}' is not per unit of the table's wavelengths or energies"
+        raise table.refusal(None, value, problem, "give both in nm and per nm, or both in eV")
     comments = [text for text in table.comments for text in _PER_NM.findall(text)]
     for texts in ([title], comments):
         photons, power = (any(map(word.search, texts)) for word in (_PHOTONS, _POWER))

@@ -555,7 +555,7 @@ _CALLED = {
     "emission spectrum": "the emission spectrum",
     "source depth": "the depth of the source",
     "photoelectron scale": "the channels per photoelectron",
-    "pedestal": "pedestal and background of the readings",
+    "pedestal": "pedestal, background and nonlinearity of the readings",
     "tolerances": "the bench's numbers",
     "tolerance": "the number",
     "monte_carlo": "the simulation",

@@ -354,7 +354,7 @@ def test_an_effect_of_filled_gaps_is_in_no_empty_one(campaign):
 def test_few_photons_are_not_the_usual_number(campaign):
     """A share that rounds to none is the least that records can have."""
     reflected = campaign.with_effects(["top_reflector"])
-    runs = (Run(2, check=False), Run(LANES, check=False), Run(precision=1.5, check=False))
+    runs = (Run(2, check=False), Run(LANES, check=False), Run(precision=0.5, check=False))
     benches = [CampaignSimulations(reflected, run) for run in runs]
     for bench in benches:
         calibrate(bench)

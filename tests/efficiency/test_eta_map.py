@@ -86,6 +86,12 @@ def test_deposits_outside_are_refused_with_their_line(mapped, tmp_path):
         with pytest.raises(InputError, match=told) as refused:
             mapped.of_deposits(file)
         assert refused.value.line == 3
+    for header in ("z_mm,y_mm,x_mm,energy_keV", "x_cm,y_cm,z_cm,energy_keV", "x (m),y,z,keV"):
+        file.write_text(f"{header}\n0.5,0.5,0.5,59.5\n")
+        with pytest.raises(InputError, match="not x_mm, y_mm, z_mm, energy_keV"):
+            mapped.of_deposits(file)
+    file.write_text("x (mm),y (mm),z (mm),E (MeV)\n0,0,5,0.0595\n")
+    assert mapped.of_deposits(file).eta == pytest.approx(mapped.eta[5, 5, 5])
     with pytest.raises(InputError, match="in each of 1,000 cells"):
         mcrim.eta_map(BENCH, photons=5000)
 

@@ -300,11 +300,36 @@ def test_what_is_missing_is_said_with_what_to_install(monkeypatch):
         assert "pip install 'mcrim-mitsuba[formats]'" in refusal(read_channels, SPECTRA / name)
 
 
+@pytest.mark.parametrize("pedestal", [Pedestal(100.0, 0.0), None], ids=["known", "own"])
+def test_a_pedestal_however_large_is_not_the_peak(pedestal):
+    """With more than four times the peak's events it was: 0.8 photoelectrons for 300."""
+    random = np.random.default_rng(3)
+    light = 100.0 + 3.0 * random.poisson(random.normal(300.0, 18.0, 8000))
+    events = [light + random.normal(0, 5, 8000), random.normal(100.0, 4.0, 60_000)]
+    counts = np.histogram(np.concatenate(events), np.arange(-0.5, 2048.5))[0].astype(float)
+    calibration = ChannelCalibration(gain=Gain(value=3.0, sigma=0.0), pedestal=pedestal)
+    histogram = calibrated(spectrum(counts), calibration)
+    centroid, sigma = photons_of(histogram, fit_histogram(histogram))
+    assert abs(centroid - 300.0) < 4.0 * sigma < 6.0
+    # a pedestal above all light: no peak, where it was a traceback
+    above = ChannelCalibration(gain=calibration.gain, pedestal=Pedestal(1500.0, 0.0))
+    assert fit_histogram(calibrated(spectrum(counts), above)) is None
+
+
 def test_live_times_are_read_from_comments(tmp_path):
     path = tmp_path / "h.txt"
     rows = "".join(f"{i}\t{n:g}\n" for i, n in enumerate(peak_of(150.0)))
     path.write_text(f"Live Time (s): 600.5\nchannel\tcounts\n{rows}")
     assert read_channels(path).live_time_s == 600.5
+    for said in ("1,200.5 s", "600,5 s", "10 min", "0:10:00", "0.98 (fraction)", "98 %", "1 200"):
+        path.write_text(f"# live time: {said}\nchannel\tcounts\n{rows}")
+        assert read_channels(path).live_time_s is None, said
+    for said in (" [ms]: 600000", " (%): 98"):
+        path.write_text(f"# live time{said}\nchannel\tcounts\n{rows}")
+        assert read_channels(path).live_time_s is None, said
+    for said in ("=600s", " 600 Real Time 612", ",600,real time,612", " in seconds: 6e2"):
+        path.write_text(f"# live time{said}\nchannel\tcounts\n{rows}")
+        assert read_channels(path).live_time_s == 600.0, said
     path.write_text(f"Live Time (s): 0\nchannel\tcounts\n{rows}")
     assert "its live time is 0 s" in refusal(read_channels, path)
 

@@ -29,9 +29,19 @@ def test_channels_are_no_photoelectrons(tmp_path, header):
     assert read_histogram(path, channels=True).counts.sum() == spectrum(1).sum()
 
 
+@pytest.mark.parametrize(
+    "header", ["energy (keV),counts", "E_keV,N", "bin low edge,counts", "pe_left_edge,counts"]
+)
+def test_energies_and_edges_of_bins_are_no_photoelectrons(tmp_path, header):
+    """Peaks of all couplings lie at one energy; an edge is half a bin below the centre."""
+    path = tmp_path / "h.csv"
+    path.write_text(f"{header}\n" + rows(BINS, spectrum(2, 60.0, 8.5)))
+    assert "has energies or edges of bins" in refusal(read_histogram, path)
+
+
 def test_photoelectrons_stay_what_they_are(tmp_path):
     path = tmp_path / "h.csv"
-    for header in ("photoelectrons,counts", "n_pe,N", "photons_per_event,events"):
+    for header in ("photoelectrons at 662 keV,counts", "n_pe,N", "photons_per_event,events"):
         path.write_text(f"{header}\n" + rows(BINS, spectrum(2)))
         assert len(read_histogram(path).photons) == 1024
         if header != "n_pe,N":

@@ -296,3 +296,8 @@ def test_a_reference_without_a_table_is_refused(tmp_path):
     file.write_text(EXAMPLE.read_text().split("[reference]")[0])
     refused = refusal(read_comparison, file)
     assert "no table [reference]; write it, with signal, eta" in refused
+
+
+def test_the_error_that_readings_share_is_not_said_to_be_the_dark_runs_alone():
+    """A nonlinearity's error counts under the same origin, and no run in the dark helps there."""
+    assert "nonlinearity" in contribution("pedestal", 0.04).by

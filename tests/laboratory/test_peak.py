@@ -539,6 +539,9 @@ def test_a_peak_that_is_missing_and_one_that_does_not_belong_are_said(here, mcri
     assert status == 2 and "flat.csv: no peak stands out; measure longer" in error
     assert error.count("\n") == 1
     assert "the set is inconsistent" in mcrim.shown("lab", "peak", "h.csv", "gel.csv")
+    for lines in ("0.0595,0.511", "511,511", "0"):
+        said = mcrim.refused("lab", "peak", "h.csv", "--lines", lines)
+        assert "are no energies; give each once, in keV, not MeV" in said
 
 
 def test_own_histograms_are_replaced(here, mcrim):

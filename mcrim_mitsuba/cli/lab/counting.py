@@ -190,8 +190,8 @@ def _lines(fitted: list, energies: str | None) -> tuple[dict, list[dict]]:
     from mcrim_mitsuba.laboratory.energy_scale import lines_of
 
     given = [parse_number("--lines", text) for text in energies.split(",")] if energies else []
-    if given and (min(given) <= 0 or len(set(given)) < len(given)):
-        raise InputError(f"--lines {energies} are no energies", "give each once, above 0 keV")
+    if given and (min(given) < ENERGIES_KEV[0] or len(set(given)) < len(given)):
+        raise InputError(f"--lines {energies} are no energies", "give each once, in keV, not MeV")
     found = {of.name: lines_of(of.histogram, given) for of in fitted if given}
     return found, [
         {"histogram": name, **attributes(line, _OF_LINE), "peak": _peak_json(line.peak)}
