@@ -26,10 +26,16 @@ _ROOT = ".root"
 _FEWEST_CHANNELS = 8
 #: Histograms that are listed where none is named.
 _MOST_LISTED = 12
-#: In seconds: what has another unit, a decimal comma or a comma of thousands is not taken for them.
 _LIVE_TIME = re.compile(
-    r"live[ _-]?time(?:[^\w.%+-]*(?:in )?s(?:ecs?|econds?)?\b)?[^\w.%+-]*(?:- )?"
-    r"(\d+\.?\d*(?:e[+-]?\d+)?)\s*(?:s(?:ecs?|econds?)?\b\s*)?(?:$|[,;)\]](?!\d)|\w+[ _-]?time)",
+    r"live[ _-]?time(?P<before>[^0-9.+-]*(?:- )?)"
+    r"(?P<number>[\d.,:]+(?:e[+-]?\d+)?)[\s(\[]*+(?P<unit>[^\W\d_]*+%?)(?!\d)",
+    re.IGNORECASE,
+)
+#: What follows a number of seconds, unless it is another time; and units before a number that it
+#: is not in.
+_SECONDS = re.compile(r"(s(ecs?|econds?)?)?|(real|dead|clock|total).*", re.IGNORECASE)
+_NO_SECONDS = re.compile(
+    r"(?<![^\W_])(h(rs?|ours?)?|min(utes?)?|days?|[mµμun]s|m(illi|icro)?s(ec)?\w*)(?![^\W_])|%",
     re.IGNORECASE,
 )
 _INSTALL = "pip install 'mcrim-mitsuba[formats]'"
@@ -63,14 +69,25 @@ def read_channels(path: str | Path) -> ChannelSpectrum:
     suffix = path.suffix.lower()
     if suffix not in INSTRUMENTS:
         read = read_histogram(path, channels=True)
-        times = [match[1] for words in read.comments if (match := _LIVE_TIME.search(words))]
-        live = _checked_time(path, float(times[0])) if times else None
+        times = [time for words in read.comments if (time := _live_time_in(words)) is not None]
+        live = _checked_time(path, times[0]) if times else None
         spectrum = ChannelSpectrum(path, read.comments, read.photons, read.counts, live_time_s=live)
     else:
         spectrum = _of_root(path, named) if suffix == _ROOT else _of_instrument(path)
     if not spectrum.counts.any():
         raise InputError("all channels are empty", "name another file", path=path)
     return spectrum
+
+
+def _live_time_in(comment: str) -> float | None:
+    """The live time that a comment tells in seconds; minutes or 1,200.5 are not taken for them."""
+    told = _LIVE_TIME.search(comment)
+    if told is None or _NO_SECONDS.search(told["before"]) or not _SECONDS.fullmatch(told["unit"]):
+        return None
+    try:
+        return float(told["number"].rstrip(".,"))
+    except ValueError:  # commas, or hours and minutes
+        return None
 
 
 def _checked_time(path: Path, live_time_s: float) -> float:

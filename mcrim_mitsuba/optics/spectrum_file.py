@@ -193,7 +193,7 @@ _POWER = re.compile(
 _PER_NM = re.compile(r"(\S+?)\s*(?:\bper\b|/)\s*(?:nm|µm|μm|Å|eV)\b", re.I)
 #: What a density is over: wavelengths, and energies or wave numbers.
 _OVER_LENGTH = re.compile(r"(\bper|/)\s*(nm|[uµμ]m|Å)\b|\bnm\s*\^?[-−⁻][1¹]", re.I)
-_OVER_ENERGY = re.compile(r"(\bper|/)\s*(m?eV|1/cm|cm\s*\^?[-−⁻]1)|\beV\s*\^?[-−⁻][1¹]", re.I)
+_OVER_ENERGY = re.compile(r"(\bper|/)\s*(eV|1/cm|cm\s*\^?[-−⁻]1)|\beV\s*\^?[-−⁻][1¹]", re.I)
 # "5 percent" is a number of something else
 _SAYS_PERCENT = re.compile(
     r"[(\[/,]\s*%\s*([)\],;\t]|$)|%\s*T\b|\bT\s*%"
@@ -387,21 +387,23 @@ def _emission(
     if unit in _RECIPROCAL:
         converted = f"intensities are taken per {unit} and were converted to intensities per nm"
         notes.append(f"{file}: {converted}")
-    photons = photons_over_emission(table, value, axis.wavelength_nm)
+    photons = photons_over_emission(table, value, axis.wavelength_nm, unit in _RECIPROCAL)
     if np.ndim(photons):
         notes.append(f"{file}: power was converted to numbers of photons")
     return axis.per_nm * photons, tuple(notes)
 
 
-def photons_over_emission(table: DataTable, value: int, wavelength_nm: Array) -> Array | float:
+def photons_over_emission(
+    table: DataTable, value: int, wavelength_nm: Array, over_energy: bool = False
+) -> Array | float:
     """What turns an emission into photons, up to a constant: 1, or (points,) that rise with nm.
 
     Raises InputError if neither the column's name and unit nor comments say photons or power, or if
-    they say per eV where wavelengths are in nm, or the reverse.
+    they say per eV where the table is over wavelengths, or per nm where it is `over_energy`.
     """
     title = " ".join(filter(None, (table.names[value] if table.names else "", table.units[value])))
     over = _OVER_LENGTH, _OVER_ENERGY
-    right, wrong = over[::-1] if any(unit in _RECIPROCAL for unit in table.units) else over
+    right, wrong = over[::-1] if over_energy else over
     said = [text for text in (title, *table.comments) if right.search(text) or wrong.search(text)]
     if said and not right.search(said[0]):
         problem = f"'{said[0]}' is not per unit of the table's wavelengths or energies"

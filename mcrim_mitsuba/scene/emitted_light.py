@@ -12,7 +12,7 @@ import numpy as np
 from mcrim_mitsuba.core.data_table import DataTable, read_data_table
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
-from mcrim_mitsuba.core.numbers import COEFFICIENTS
+from mcrim_mitsuba.core.numbers import COEFFICIENTS, unit_of
 from mcrim_mitsuba.optics.materials import Material
 from mcrim_mitsuba.optics.spectrum import Spectrum
 from mcrim_mitsuba.optics.spectrum_file import photons_over_emission, read_spectrum
@@ -195,6 +195,10 @@ def _columns(
             mend = did_you_mean(name, [EMISSION, EFFICIENCY, *numbers])
             problem = f"{scene.path.name} has no parameter {name!r}"
             raise table.refusal(None, column, problem, mend)
+        unit, of_name = table.units[column], unit_of(name)
+        if None not in (unit, of_name) and unit != of_name:
+            problem = f"{name} is said to be in {unit}"
+            raise table.refusal(None, column, problem, f"give it in {of_name}, as its name says")
         values = table.values[:, column]
         low, high = (0.0, 1.0) if name == EFFICIENCY else (0.0, math.inf)
         wrong = (values < low) | (values > high)

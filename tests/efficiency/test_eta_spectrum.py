@@ -40,7 +40,7 @@ def tenfold(tmp_path):
     emission = np.exp(-(((at - 530.0) / 90.0) ** 2))
     absorption = 0.02 * 10.0 ** ((700.0 - at) / 300.0)
     scattering = 0.2 * 10.0 ** ((700.0 - at) / 300.0)
-    header = "wavelength_nm,emission (photons/nm),alpha_abs_per_cm,alpha_scat_per_cm"
+    header = "wavelength_nm,emission (photons/nm),alpha_abs_per_cm (cm-1),alpha_scat_per_cm (1/cm)"
     return written(tmp_path, header, at, emission, absorption, scattering)
 
 

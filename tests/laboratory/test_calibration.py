@@ -327,7 +327,8 @@ def test_live_times_are_read_from_comments(tmp_path):
     for said in (" [ms]: 600000", " (%): 98"):
         path.write_text(f"# live time{said}\nchannel\tcounts\n{rows}")
         assert read_channels(path).live_time_s is None, said
-    for said in ("=600s", " 600 Real Time 612", ",600,real time,612", " in seconds: 6e2"):
+    same = "=600s", " 600 Real Time 612", ",600,real time,612", " in seconds: 6e2", "_s: 600"
+    for said in (*same, ": 600 s (dead time 2 %)", ": 600.", " of this run: 600 s / real 650 s"):
         path.write_text(f"# live time{said}\nchannel\tcounts\n{rows}")
         assert read_channels(path).live_time_s == 600.0, said
     path.write_text(f"Live Time (s): 0\nchannel\tcounts\n{rows}")
