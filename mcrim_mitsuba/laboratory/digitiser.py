@@ -81,11 +81,11 @@ def read_channels(path: str | Path) -> ChannelSpectrum:
 
 def _live_time_in(comment: str) -> float | None:
     """The live time that a comment tells in seconds; minutes or 1,200.5 are not taken for them."""
-    told = _LIVE_TIME.search(comment)
-    if told is None or _NO_SECONDS.search(told["before"]) or not _SECONDS.fullmatch(told["unit"]):
+    of = _LIVE_TIME.search(comment)
+    if of is None or _NO_SECONDS.search(of["before"]) or not _SECONDS.fullmatch(of["unit"]):
         return None
     try:
-        return float(told["number"].rstrip(".,"))
+        return float(of["number"].rstrip(".,"))
     except ValueError:  # commas, or hours and minutes
         return None
 
