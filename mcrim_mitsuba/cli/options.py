@@ -22,7 +22,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import sha256
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
 from mcrim_mitsuba.core.rounding import counted
-from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Parts, Run, processors
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, LARGEST_PRECISION, Parts, Run, processors
 from mcrim_mitsuba.runs.array_job import (
     DEFAULT_FOLDER,
     ArrayPart,
@@ -76,7 +76,7 @@ class Precision(Written):
 
     def read(self, what: str, text: str) -> float:
         number = float_of(what, text, percent=True)
-        if not 1e-6 <= number <= 0.5:
+        if not 1e-6 <= number <= LARGEST_PRECISION:
             self.fail(f"{text!r} is no precision; give 0.0001% to 50%, such as 0.2%")
         return number
 

@@ -28,6 +28,8 @@ DEFAULT_VARIANT = "llvm_ad_rgb"
 #: That any run may be asked for.
 MOST_PHOTONS = 10**13
 MOST_THREADS = 1024
+#: Relative error that may be asked for: 2 is meant for 2 %.
+LARGEST_PRECISION = 0.5
 #: By which people, terminals and batch systems end a job.
 ENDING_SIGNALS = tuple(s for s in signal.Signals if s.name in ("SIGINT", "SIGTERM", "SIGHUP"))
 
@@ -156,9 +158,10 @@ class Run:
             what, mend = "the number of threads", f"give a whole number, 1 to {MOST_THREADS}"
             taken["threads"] = whole_of(what, self.threads, mend, 1, MOST_THREADS)
         if self.precision is not None:
-            what, mend = "the precision", "give a relative error above 0, 0.5 at most"
+            what = "the precision"
+            mend = f"give a relative error above 0, {LARGEST_PRECISION} at most"
             taken["precision"] = number_of(what, self.precision, mend)
-            if not 0 < taken["precision"] <= 0.5:  # 2 is meant for 2 %
+            if not 0 < taken["precision"] <= LARGEST_PRECISION:
                 raise InputError(f"{what} is {self.precision}", mend)
         if not isinstance(self.variant, str):
             raise InputError(f"the variant is {self.variant}", f"give a name: {DEFAULT_VARIANT}")

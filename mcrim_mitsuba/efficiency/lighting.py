@@ -292,7 +292,8 @@ class EtaMap(OverAxes):
         named = ["_".join(filter(None, pair)) for pair in pairs]
         mixed = any(n.lower() not in (axis, axis[0]) for n, axis in zip(named, _AXES, strict=False))
         if mixed or len(table.values.T) != len(_DEPOSITS):
-            problem = f"columns {', '.join(named) or len(table.units)}, not {', '.join(_DEPOSITS)}"
+            columns = ", ".join(named) or f"{len(table.units)} columns"
+            problem = f"{columns}, not {', '.join(_DEPOSITS)}"
             raise _refused(table.path, int(table.lines[0]), problem)
         *places, energy = table.values.T
         cells, wrong = [], [(energy < 0.0, energy, "energy_keV = {:g} is negative")]

@@ -232,8 +232,10 @@ def calibrated(
     spectrum = with_live_time(spectrum, calibration.live_time_s, calibration.dead_time_us)
     if (pedestal := calibration.pedestal) is None:  # its own, below its main peak
         pedestal = fit_pedestal(spectrum.channels, spectrum.counts)
-        lowest = pedestal.position + 1.0 / calibration.per_channel if pedestal else math.inf
-        main = main_peak(spectrum.channels, spectrum.counts, above=lowest)
+        main = None
+        if pedestal is not None:
+            lowest = pedestal.position + 1.0 / calibration.per_channel
+            main = main_peak(spectrum.channels, spectrum.counts, above=lowest)
         if pedestal is None or main is None or main.centroid - main.width < pedestal.position:
             mend = 'give it under [calibration]: pedestal = 120, or a run: pedestal = "dark.csv"'
             raise InputError("no pedestal stands out at the low end", mend, path=spectrum.path)

@@ -35,7 +35,7 @@ _LIVE_TIME = re.compile(
 #: is not in.
 _SECONDS = re.compile(r"(s(ecs?|econds?)?)?|(real|dead|clock|total).*", re.IGNORECASE)
 _NO_SECONDS = re.compile(
-    r"(?<![^\W_])(h(rs?|ours?)?|min(utes?)?|days?|[mµμun]s|m(illi|icro)?s(ec)?\w*)(?![^\W_])|%",
+    r"(?<![^\W_])(h(rs?|ours?)?|min(utes?)?|days?|[µμun]s|m(illi|icro)?s(ec)?\w*)(?![^\W_])|%",
     re.IGNORECASE,
 )
 _INSTALL = "pip install 'mcrim-mitsuba[formats]'"

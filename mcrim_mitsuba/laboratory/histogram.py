@@ -67,7 +67,8 @@ def main_peak(
     a pedestal that is not `above`, however large, does not count.
     """
     smooth, tops, _, areas = _clear_peaks(counts, variances)
-    tops, areas = tops[values[tops] > above], areas[values[tops] > above]
+    counted = values[tops] > above
+    tops, areas = tops[counted], areas[counted]
     if not len(tops):
         return None
     main = np.flatnonzero(areas >= _LARGE * areas.max())[-1]

@@ -64,11 +64,10 @@ def counting(values: Array, mean: float, variance: float, bin_width: int) -> tup
     """
     if (whole := max(variance, 0.0) + mean) > _GAUSSIAN_FROM:
         width = math.sqrt(whole)
-        z = (values + np.array([[-0.5], [0.5]]) * bin_width - mean) / width
-        below, height = ndtr(z), np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi)
-        by_mean, by_variance = height[0] - height[1], (z[0] * height[0] - z[1] * height[1]) / 2.0
-        slopes = np.stack([by_mean + by_variance / width, by_variance / width]) / width
-        return (below[1] - below[0]) / bin_width, slopes / bin_width
+        low, high = (step(values + side * bin_width, mean, width) for side in (-0.5, 0.5))
+        by_mean, by_width = (low[1] - high[1]) / bin_width
+        by_variance = by_width / (2.0 * width)
+        return (low[0] - high[0]) / bin_width, np.stack([by_mean + by_variance, by_variance])
     first = values - 0.5 * (bin_width - 1)
     spread = math.sqrt(max(variance, 0.0))
     nodes = math.ceil(_REACH / _SPACING * math.sqrt(1.0 + variance / mean))
