@@ -77,16 +77,17 @@ class Cubics:
         slopes = np.gradient(units, rising, axis=0, edge_order=2 if len(order) > 2 else 1)
         self._joint = CubicHermiteSpline(rising, units, slopes)
         self._slope = self._joint.derivative()
+        # by piece: where it begins, and its coefficients; a spline that is called, or asked for
+        # them, takes ten times as long
+        self._pieces = list(zip(rising.tolist(), *self._joint.c, strict=False))
         self._breaks = rising[1:-1].tolist()
         self._ends = float(rising[0]), float(rising[-1])
 
     def weights(self, x: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """As `Lagrange.weights`; beyond the last node it goes on as a line."""
         inside = min(max(x, self._ends[0]), self._ends[1])
-        # a spline that is called takes ten times as long to find its way to four coefficients
-        piece = bisect_right(self._breaks, inside)
-        t = inside - self._joint.x[piece]
-        a, b, c, d = self._joint.c[:, piece]
+        begin, a, b, c, d = self._pieces[bisect_right(self._breaks, inside)]
+        t = inside - begin
         slope = (3.0 * a * t + 2.0 * b) * t + c
         return ((a * t + b) * t + c) * t + d + (x - inside) * slope, slope
 

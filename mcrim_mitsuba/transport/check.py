@@ -52,22 +52,31 @@ def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckRepo
 
     file, model = simulation.file, simulation.model
     faces = interfaces_of(file, model)
-    problems = [
-        *problems_of_media(file, model.volumes),
-        *problems_of_crystal(simulation),
-        *problems_of_contacts(file, model),
-    ]
-    if not problems:
-        crossings = probe(model)
-        # Index claims come first where the geometry itself is sound: they name the faces best.
-        contradictions = problems_of_volumes(file, model, faces, crossings)
-        problems = problems_of_named_volumes(faces) or contradictions
+    problems = problems_of_scene(simulation, faces)
     if light and not problems:
         problems = _problems_of_detector(simulation)
     path = choose_path(model, simulation.polarization)
     sentences = describe(simulation, faces, path.name)
     notes = (*file.notes, *simulation.notes)
     return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences), notes)
+
+
+def problems_of_scene(
+    simulation: Simulation, interfaces: tuple[Interface, ...] | None = None
+) -> list[SceneProblem]:
+    """What is wrong with a loaded scene, whether light finds the detector or not."""
+    file, model = simulation.file, simulation.model
+    problems = [
+        *problems_of_media(file, model.volumes),
+        *problems_of_crystal(simulation),
+        *problems_of_contacts(file, model),
+    ]
+    if problems:
+        return problems
+    faces = interfaces or interfaces_of(file, model)
+    # Index claims come first where the geometry itself is sound: they name the faces best.
+    contradictions = problems_of_volumes(file, model, faces, probe(model))
+    return problems_of_named_volumes(faces) or contradictions
 
 
 def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:

@@ -287,7 +287,7 @@ class FlatFace:
                 return t, self.margin((starts + t * ways).T), towards > 0
             return t, self._inside(a + t * along_u, b + t * along_v), towards > 0
 
-    @property
+    @functools.cached_property
     def _dual(self) -> np.ndarray:
         """What, times a vector of its plane, gives its parts of the two edges, shape (2, 3)."""
         return np.linalg.inv(np.column_stack([self.edge_u, self.edge_v, self.normal]))[:2]

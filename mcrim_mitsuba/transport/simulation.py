@@ -125,9 +125,9 @@ class Simulation:
             *warnings,
         )
         if check:
-            from mcrim_mitsuba.transport.check import check_simulation
+            from mcrim_mitsuba.transport.check import problems_of_scene
 
-            _refuse(check_simulation(self, light=False).problems)
+            _refuse(problems_of_scene(self))
 
     def _lacks(self, problem: str, mend: str) -> InputError:
         return InputError(problem, mend, path=self.file.path)

@@ -18,6 +18,9 @@ cases = cases_of(__file__)
 
 NAMED = 'energy_keV = 59.5\nmaterial = "CaMoO4"'
 
+# the same bench is asked several times
+pytestmark = pytest.mark.usefixtures("kept_records")
+
 
 @pytest.fixture
 def three(scenes):

@@ -40,6 +40,9 @@ Z = 4.0
 PHOTONS, SEED = 32_768, 11
 RATIO = "eta air / eta gel"
 
+# the same bench is asked several times
+pytestmark = pytest.mark.usefixtures("kept_records")
+
 
 @pytest.fixture(scope="module")
 def campaign(scenes):

@@ -115,6 +115,7 @@ def test_signatures_name_the_fields_of_a_run():
     }
 
 
+@pytest.mark.usefixtures("kept_records")  # the page has simulated the same bench
 def test_dir_shows_what_there_is():
     light = mcrim.simulate(SCRIPT.parents[2] / "scenes/camoo4.xml", photons=20_000, seed=1)
     assert {"eta", "budget", "gap_mm", "plot"} <= set(dir(light)) and light.gap_mm == 0.05
