@@ -416,7 +416,7 @@ def _walk(tables, birth, rng, most_flights, polarised, record):
             record["scattering_path_cm"] += flight / MM_PER_CM * strength * middle
         position = plus(position, flight, direction)
         if free_path < distance:
-            choice = uniform(rng) * most - medium["absorption"]
+            choice, last = uniform(rng) * most - medium["absorption"], -1
             if choice < 0.0:
                 return ABSORBED + volume
             # with a gradient, most collisions of the strongest scattering are none
@@ -425,7 +425,7 @@ def _walk(tables, birth, rng, most_flights, polarised, record):
                 record["scatterings"] += volume == crystal
                 cosine = scattered_cosine(rng, medium["rayleigh"] > 0, medium["g"])
                 direction = about(rng, direction, cosine)
-                field, last = depolarised(rng, field, direction), -1
+                field = depolarised(rng, field, direction)
             continue
         flights += 1
         number, last = tables.faces[face]["surface"], face

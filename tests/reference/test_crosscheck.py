@@ -13,8 +13,10 @@ from scipy.stats import kstest, norm
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.reference import tracer as module
 from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL, crosscheck
+from mcrim_mitsuba.scene.scene_file import read_scene
 
 TABLES = tables_of(__file__)
 BENCHES = TABLES["benches"]
@@ -55,6 +57,13 @@ def test_the_crosscheck_can_fail(scenes, monkeypatch):
 
     monkeypatch.setattr(module, "trace", other_bench)
     assert not crosscheck(scenes / "camoo4.xml", run=Run(150_000, seed=1)).agrees
+
+
+def test_uneven_scattering_behind_a_round_wall(scenes):
+    """Where no collision came of it, the tracer's light was still on the wall, and missed it."""
+    scene = read_scene(scenes / "csi_photodiode.xml")
+    uneven = add("scattering_gradient", scene, {"scattering_gradient": 0.45})
+    assert crosscheck(scene.edited(uneven), run=Run(50_000, seed=1)).agrees
 
 
 def test_a_scene_that_shall_not_be_checked_is_not(scenes):
