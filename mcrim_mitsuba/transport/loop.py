@@ -308,7 +308,8 @@ class Loop:
         if path.surfaces_may_absorb:
             # as in volumes; of a `survive` that was no death there the rest is even again
             whole = at_surface & ~by_weight & (survive >= kept * outcome.weight)
-            whole &= (fate == physics.ALIVE) | (fate == physics.DETECTED)
+            absorbed_after = (fate == physics.DETECTED) | (fate == physics.REFLECTOR)
+            whole &= (fate == physics.ALIVE) | absorbed_after
             fate = dr.select(whole, mi.UInt32(physics.SURFACE), fate)
             factor = dr.select(by_weight, outcome.weight, dr.maximum(outcome.weight, 1.0))
             dimmed = dr.select(at_surface, w * factor, w)

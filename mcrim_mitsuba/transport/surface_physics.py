@@ -322,7 +322,8 @@ def interact(
     if row.roughness is not None:
         outcome.met_rough = (row.kind == DIELECTRIC) & (row.roughness != 0.0) & leaving
     if row.ground_loss is not None:
-        passing = outcome.met_rough & (outcome.fate == ALIVE)
+        # before it finds the interface, or a wrapping in contact
+        passing = outcome.met_rough & ((outcome.fate == ALIVE) | (outcome.fate == REFLECTOR))
         outcome.weight *= dr.select(passing, 1.0 - row.ground_loss, 1.0)
     outcome.volume = volume_after(row, outcome.crossed, leaving)
     if beyond is not None:

@@ -122,6 +122,19 @@ def cavity(tmp_path):
 
 
 @pytest.mark.parametrize("general", [False, True], ids=["flat", "general"])
+def test_ground_faces_take_their_part_before_a_wrapping_that_touches_them(tmp_path, general):
+    """Of what meets them they take 0.2, and the wrapping half of the rest: it had half of all."""
+    ground = """<bsdf type="polish" id="polish"><float name="roughness_alpha" value="0.3"/>
+      <float name="ground_loss" value="0.2"/>"""
+    path = tmp_path / "ground.xml"
+    path.write_text(_cavity("box").replace('<bsdf type="dielectric" id="polish">', ground))
+    simulation = Simulation(path, {"c": 1, "rho": 0.5}, check=False)
+    budget = simulation.collect(100_000, seed=81, general=general).budget
+    part = budget["absorbed_surface"] / (budget["absorbed_surface"] + budget["absorbed_reflector"])
+    assert abs(part - 1 / 3) < Z * np.sqrt(2 / 9 / 60_000)
+
+
+@pytest.mark.parametrize("general", [False, True], ids=["flat", "general"])
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize(("contact", "specular"), [(0, 0), (0.05, 0), (1, 0), (0, 1), (0.4, 0.5)])
 @pytest.mark.parametrize("film", [0.02, 1.0, 0.0])
