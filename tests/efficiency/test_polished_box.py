@@ -157,7 +157,7 @@ def test_a_table_is_its_points(bench):
 
 
 #: What photons gave: ``mcrim simulate scenes/camoo4.xml --seed SEED``. All together: the family of
-#: 24 comparisons is tested at 1e-3, by Bonferroni at abs(z) < 4.06 each.
+#: 26 comparisons is tested at 1e-3, by Bonferroni at abs(z) < 4.06 each.
 PHOTONS = TABLES["photons"]
 
 
