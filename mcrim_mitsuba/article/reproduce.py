@@ -107,6 +107,7 @@ def _rows(
     bare = [*arithmetic.bare_crystal_rows(), *efficiency_rows.bare_crystal_rows(simulated)]
     bench = efficiency_rows.bench_rows(simulated, photons)
     table_1 = efficiency_rows.table_1_rows(simulated)
+    efficiencies = efficiency_rows.efficiency_rows(simulated)
     absolute = [*arithmetic.light_yield_rows(), *yield_rows.yield_rows(yields)]
     absolute += [*yield_rows.budget_rows(simulated), *yield_rows.neglected_rows(left_out)]
     relative = [*arithmetic.relative_rows(), yield_rows.relative_yield_row(yields)]
@@ -117,9 +118,7 @@ def _rows(
         "Sec. 4-5: the bench, as the article states it and as the scene has it": bench,
         "Sec. 6.1-6.2, Eq. 5: the measured ratio": arithmetic.ratio_rows(),
         "Sec. 6.2-6.3, Table 1 and Fig. 4: scattering coefficient from the ratio": table_1,
-        "Sec. 6.2-6.3, Table 1 and Fig. 3: light collection efficiency": [
-            *efficiency_rows.efficiency_rows(simulated)
-        ],
+        "Sec. 6.2-6.3, Table 1 and Fig. 3: light collection efficiency": efficiencies,
         "Sec. 6.2, 6.4, 6.5: other crystals": efficiency_rows.other_crystal_rows(simulated),
         "Sec. 6.3, Eqs. 1-2: absolute light yield": absolute,
         "Sec. 6.4, Eq. 7: relative method": relative,

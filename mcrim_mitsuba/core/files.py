@@ -354,11 +354,9 @@ def _write_into(path: Path, content: bytes) -> None:
     """
     if stat.S_ISBLK(path.stat().st_mode):
         raise OSError(errno.EPERM, "it is a disk")
-    if path.parent in _DESCRIPTORS:
-        with os.fdopen(os.dup(int(path.name)), "wb") as stream:
-            stream.write(content)
-        return
-    with os.fdopen(open_to_write(path, os.O_TRUNC), "wb") as stream:
+    is_open = path.parent in _DESCRIPTORS
+    descriptor = os.dup(int(path.name)) if is_open else open_to_write(path, os.O_TRUNC)
+    with os.fdopen(descriptor, "wb") as stream:
         stream.write(content)
 
 

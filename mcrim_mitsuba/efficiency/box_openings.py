@@ -759,10 +759,8 @@ def _towards_ends(n_gap: float, n_window: float, rule: Nodes) -> tuple[Floats, F
     index = np.array(critical)[:, None]
     below = np.array([0.0, *critical[:-1]])
     cos_index, weight = gauss(rule.cosine, 0.0, np.sqrt(1.0 - (below / critical) ** 2))
-    sine, weight = index * np.sqrt(1.0 - cos_index**2), index**2 * cos_index * weight
-
-    sine, weight = sine.ravel(), weight.ravel()
-
+    sine = (index * np.sqrt(1.0 - cos_index**2)).ravel()
+    weight = (index**2 * cos_index * weight).ravel()
     t, w_t = gauss(rule.around_ends)
     begins = np.arccos(np.minimum(math.sqrt(max(n_gap**2 - 1.0, 0.0)) / sine, 1.0))
     begins = np.minimum(begins, math.pi / 2.0 - begins)

@@ -76,22 +76,18 @@ class Grid:
         beside the real axis of log(a_s): how fast polynomials converge is a matter of the range's
         length over pi.
         """
+        axes = zip(_COARSE_NODES if self.coarse else _FINE_NODES, self._ends, strict=True)
         scattering, absorption = (
             math.ceil(least + per_length * (high - low)) if high > low else 1
-            for (least, per_length), (low, high) in zip(
-                _COARSE_NODES if self.coarse else _FINE_NODES, self._ends, strict=True
-            )
+            for (least, per_length), (low, high) in axes
         )
         return scattering, absorption
 
     @cached_property
     def _ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Ends of the two axes."""
-        places = (
-            self.place_of_scattering(np.array(self.alpha_scat_range_per_cm)),
-            self.place_of_absorption(np.array(self.alpha_abs_range_per_cm)),
-        )
-        (low, high), (least, most) = (ends.tolist() for ends in places)
+        low, high = self.place_of_scattering(np.array(self.alpha_scat_range_per_cm)).tolist()
+        least, most = self.place_of_absorption(np.array(self.alpha_abs_range_per_cm)).tolist()
         return (low, high), (least, most)
 
     @cached_property
@@ -182,13 +178,9 @@ def averaged(table: EtaGrid, grid: Grid, colours: Colours) -> EtaGrid:
     every = table.deviations.astype(np.float64)
     eta, of_batches = np.zeros_like(table.log_eta), np.zeros_like(every)
     for part, *factors in zip(colours.parts, colours.scattering, colours.absorption, strict=True):
-        along, across = (
-            axis.weights_at(place(np.clip(factor * own, *ends)))
-            for axis, place, factor, own, ends in (
-                (grid.scattering, grid.place_of_scattering, factors[0], scattering, ranges[0]),
-                (grid.absorption, grid.place_of_absorption, factors[1], absorption, ranges[1]),
-            )
-        )
+        scatters = grid.place_of_scattering(np.clip(factors[0] * scattering, *ranges[0]))
+        absorbs = grid.place_of_absorption(np.clip(factors[1] * absorption, *ranges[1]))
+        along, across = grid.scattering.weights_at(scatters), grid.absorption.weights_at(absorbs)
         one = part * np.exp(along @ table.log_eta @ across.T)
         eta += one
         of_batches += one * (along @ every @ across.T)

@@ -232,14 +232,9 @@ class EtaRequest:
     @property
     def grid(self) -> Grid:
         """That answers all that may be asked for; long enough to have slopes."""
-        (low, high), (least, most) = (
-            asked or (min(values), max(values))
-            for values, asked in zip(
-                zip(*self.points, strict=True),
-                (self.alpha_scat_range_per_cm, self.alpha_abs_range_per_cm),
-                strict=True,
-            )
-        )
+        scattering, absorption = zip(*self.points, strict=True)
+        low, high = self.alpha_scat_range_per_cm or (min(scattering), max(scattering))
+        least, most = self.alpha_abs_range_per_cm or (min(absorption), max(absorption))
         return Grid(
             (low, max(high, _SHORTEST * low)), (least, max(most, _SHORTEST * least + _LEAST_PER_CM))
         )

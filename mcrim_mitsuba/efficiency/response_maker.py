@@ -465,10 +465,8 @@ class ResponseMaker:
         if self._weighs(effect):
             return source.table(effect=effect, values=values)
         scene = _with_effect(self.campaign.scene, effect)
-        there = {
-            **self._left(scene, run.parameters),
-            **_as_scene_values(effect, run.parameters, values),
-        }
+        there = self._left(scene, run.parameters)
+        there |= _as_scene_values(effect, run.parameters, values)
         return self._simulation(scene, there, source.photons, of_beam=run.of_beam).table()
 
     def _response(
@@ -523,10 +521,7 @@ class ResponseMaker:
             if reading.of_beam:
                 free -= {GAP_INDEX}
             moved = self._moved(reading, values)
-            there = {
-                **self._left(scene, values_of),
-                **{n: v for n, v in moved.items() if n in free},
-            }
+            there = self._left(scene, values_of) | {n: v for n, v in moved.items() if n in free}
             for name in (ALPHA_SCAT, ALPHA_ABS):  # a sample may have its own
                 if (of := self.campaign.parameter_of(reading, name)) != name:
                     there[name] = values[of]
@@ -550,9 +545,8 @@ class ResponseMaker:
         tables = self.schedule.tables(wanted)
         self.schedule.rest_on(" ".join((_PLAIN, *(effect.name for effect in effects))), wanted)
         log_eta, deviations = stack([tables[table.number] for table in wanted])
-        scattering, absorption = (
-            [float(there[name]) for there in points] for name in (ALPHA_SCAT, ALPHA_ABS)
-        )
+        scattering = [float(there[ALPHA_SCAT]) for there in points]
+        absorption = [float(there[ALPHA_ABS]) for there in points]
         point = Point.of(self.grid, scattering, absorption)
         return Anchor(
             effects=frozenset([*(effect.name for effect in effects), *self.campaign.parameters]),
@@ -778,8 +772,7 @@ def _as_scene_values(
     number = effect.number
     if number is None:
         return dict(values)
-    own = float(values_of[number.parameter])
-    return {number.parameter: own + sum(values.values())}
+    return {number.parameter: float(values_of[number.parameter]) + sum(values.values())}
 
 
 def _nodes(axes: Sequence[Axis]) -> Iterator[tuple[tuple[int, ...], dict[str, float]]]:

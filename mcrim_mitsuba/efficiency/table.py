@@ -141,10 +141,8 @@ def eta_table(
     run = replace(run, photons=run.photons_or(MOST_PHOTONS if precision else DEFAULT_PHOTONS))
     answers, work, notes = _answer_all(file, grid, run)
     in_order = [answers[key, p] for key in grid.configurations for p in grid.points]
-    eta, eta_sigma = (
-        np.array([getattr(answer, name) for answer in in_order]).reshape(grid.shape)
-        for name in ("eta", "sigma")
-    )
+    eta = np.array([answer.eta for answer in in_order]).reshape(grid.shape)
+    eta_sigma = np.array([answer.sigma for answer in in_order]).reshape(grid.shape)
     table = EtaTable(
         axes=grid.axes,
         eta=eta,

@@ -126,7 +126,6 @@ def fit_pedestal(channels: Array, counts: Array) -> Pedestal | None:
     step = channels[1] - channels[0]
     top, half_width = lowest
     position, width = float(channels[top]), max(2.0 * half_width / FWHM, 0.5) * step
-    sigma = width
     for _ in range(_FITS):
         near = (channels > position - _BELOW * width) & (channels < position + _ABOVE * width)
         if near.sum() < _FEWEST_BINS:  # it is of a few bins: their mean

@@ -144,17 +144,13 @@ def read_light(
         problem = "the detector's efficiency is given twice"
         mend = f"leave the column {EFFICIENCY} or the other file out"
         raise InputError(problem, mend, path=table.path)
-    varying = {
-        name: index.material.held_index(grid)
-        for name, index in scene.materials.items()
-        if name not in columns
-    }
+    followed = {n: index.material for n, index in scene.materials.items() if n not in columns}
+    varying = {name: of.held_index(grid) for name, of in followed.items()}
     varying |= {n: np.interp(grid, emission.wavelength_nm, v) for n, v in columns.items()}
     # what is the same at all wavelengths may still be another number than the scene's
     varying = {n: values for n, values in varying.items() if (values != scene.parameters[n]).any()}
     all_seen = np.ones_like(grid)
     emitted = EmittedLight(grid, light, all_seen, varying, detected=False, path=Path(path))
-    followed = {n: index.material for n, index in scene.materials.items() if n not in columns}
     emitted = replace(emitted, notes=tuple(_held(emitted, followed)))
     if seen is not None:
         return emitted.seen_by(Spectrum(emission.wavelength_nm, seen))

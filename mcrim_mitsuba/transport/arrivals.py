@@ -112,18 +112,10 @@ def outline_of(model: SceneModel, volume: int, plane: DetectorPlane) -> np.ndarr
     owned = model.bordering(volume)
     if set(owned) & set(model.curved):
         return None
-    faces = []
-    for face in model.flat_faces:
-        if face.surface not in owned:
-            continue
-        circle = face.circle
-        if circle is None or not circle.inside:
-            faces.append(face.corners)
-        else:
-            faces.append(circle.points(float(face.corner[circle.axis])))
+    rims = [face.rim for face in model.flat_faces if face.surface in owned]
     from scipy.spatial import ConvexHull  # slow, and most scenes need none
 
-    points = plane.coordinates(np.concatenate(faces))
+    points = plane.coordinates(np.concatenate(rims))
     hull = ConvexHull(points).vertices
     return points[np.append(hull, hull[0])]
 

@@ -382,10 +382,10 @@ class CrystalVolume:
 
     def _sees_itself(self):
         """A function that tells of points (Point3f, mm) whether they lie in the volume (Mask)."""
-        interior, exterior = (
+        borders = [
             opaque([s.sides[side] == self.volume for s in self.model.surfaces], mi.Bool)
             for side in (0, 1)
-        )
+        ]
         number_of = surface_numbers(self.model)
 
         def inside(point):
@@ -395,12 +395,8 @@ class CrystalVolume:
             hit = si.is_valid()
             number = number_of(si.shape, hit)
             behind = dr.dot(probe.d, si.n) > 0
-            borders = dr.select(
-                behind,
-                dr.gather(mi.Bool, interior, number, hit),
-                dr.gather(mi.Bool, exterior, number, hit),
-            )
-            return hit & borders
+            interior, exterior = (dr.gather(mi.Bool, sides, number, hit) for sides in borders)
+            return hit & dr.select(behind, interior, exterior)
 
         return inside
 

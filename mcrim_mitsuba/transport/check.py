@@ -113,8 +113,7 @@ def problems_of_media(file: SceneFile, volumes: Sequence[Volume]) -> list[SceneP
             mend = "albedo is scattering / (scattering + absorption): give 0 to 1"
         elif scat < 0 or absorption < 0:
             text, mend = "has a negative coefficient", "give 0 or more, in 1/cm"
-        elif max(scat, absorption) * MM_PER_CM > LARGEST_PER_CM:
-            largest = max(scat, absorption) * MM_PER_CM
+        elif (largest := max(scat, absorption) * MM_PER_CM) > LARGEST_PER_CM:
             text = f"has a coefficient of {largest:.4g} /cm; it looks like 1/m"
             mend = "write coefficients in 1/cm (sigma_t of a homogeneous medium: 1/mm)"
         else:

@@ -234,8 +234,7 @@ def surface_properties(bsdf) -> dict:
     name = type(bsdf).__name__
     if name == "BSDF":  # none of Python's
         name = bsdf.class_name()
-    read = _READERS.get(name)
-    properties = None if read is None else read(bsdf)
+    properties = _READERS[name](bsdf) if name in _READERS else None
     return properties or {"kind": OTHER, "plugin": name}
 
 
@@ -369,9 +368,7 @@ def _flat_faces(shape, number: int) -> list[FlatFace] | None:
             replace(_face(corner, along, across, False, number), circle=circle)
             for corner, along, across, circle in shape.round_faces
         ]
-    if _wall(shape) is not None:
-        return None
-    if shape.is_mesh():
+    if shape.is_mesh() and _wall(shape) is None:
         return _mesh_faces(shape, number)
     return None
 

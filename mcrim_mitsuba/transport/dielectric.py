@@ -103,9 +103,7 @@ def _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2):
     """Reflectance of this photon, and its reflected and transmitted amplitudes."""
     s, e_s, e_p = components(direction, field, facing)
     # Under total reflection cos_t is i * sqrt(-cos_t2) and both amplitudes have modulus 1.
-    below = dr.safe_sqrt(-cos_t2)
-    total = cos_t2 <= 0.0
-    c_t = mi.Complex2f(dr.select(total, 0.0, cos_t), dr.select(total, below, 0.0))
+    c_t = mi.Complex2f(cos_t, dr.safe_sqrt(-cos_t2))
     den_s, den_p = ratio * cos_i + c_t, ratio * c_t + cos_i
     r_s, r_p = (ratio * cos_i - c_t) / den_s, (cos_i - ratio * c_t) / den_p
     t_s, t_p = 2.0 * ratio * cos_i / den_s, 2.0 * ratio * cos_i / den_p
@@ -203,9 +201,7 @@ class _FacetWalk:
         through = mi.Vector3f(1.0, 1.0, dr.select(reflected, 1.0, -1.0))
         new *= through
         new_height = self.flown(dr.select(reflected, height, 1.0 - height), new, uniform)
-        towards, height = (
-            dr.select(taken, *pair) for pair in ((new, towards), (new_height, height))
-        )
+        towards, height = dr.select(taken, new, towards), dr.select(taken, new_height, height)
         crossed ^= taken & ~reflected
         if turned is not None:
             new_field = Field(new_field.re * through, new_field.im * through)

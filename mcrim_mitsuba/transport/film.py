@@ -212,14 +212,9 @@ class FilmTrips:
             self._discs = [
                 Disc(of, lambda value: opaque([value])) for of in (crystal.circle, outer)
             ]
-        self._distance, self._reflectance, self._mirrored = (
-            opaque([value])
-            for value in (
-                film.distance_mm,
-                film.surface.reflectance,
-                film.surface.reflectance * film.surface.mirror_part,
-            )
-        )
+        self._distance = opaque([film.distance_mm])
+        self._reflectance = opaque([film.surface.reflectance])
+        self._mirrored = opaque([film.surface.reflectance * film.surface.mirror_part])
 
     def go(self, light: Encounter, outcome: Outcome, face, rng, active) -> None:
         """Take light that leaves by a face (UInt32) to the wall before it and back.

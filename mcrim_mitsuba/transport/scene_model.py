@@ -255,6 +255,13 @@ class FlatFace:
         return np.array([self.corner, beside, *far, opposite])
 
     @property
+    def rim(self) -> np.ndarray:
+        """Points around what is left of it, shape (n, 3), mm; it may have a hole."""
+        if self.circle is not None and self.circle.inside:
+            return self.circle.points(float(self.corner[self.circle.axis]))
+        return self.corners
+
+    @property
     def area(self) -> float:
         """In mm2."""
         if self.circle is not None and self.circle.inside:

@@ -17,7 +17,7 @@ import numpy as np
 
 from mcrim_mitsuba.scene.check_text import Interface, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.transport.scene_model import Kept, SceneModel
+from mcrim_mitsuba.transport.scene_model import Kept, SceneModel, box_of
 
 #: Lines that pass closer than this (relative to the scene's size) to a face's rim are left out:
 #: there rounding of single precision positions decides which of two faces is met.
@@ -59,8 +59,7 @@ def probe_lines(model: SceneModel) -> tuple[np.ndarray, np.ndarray]:
     rng, per_shape = np.random.default_rng(0), 1500
     targets = []
     for shape in model.shapes:
-        box = shape.bbox()
-        lower, upper = np.array(box.min, dtype=float), np.array(box.max, dtype=float)
+        lower, upper = box_of(shape)
         targets.append(lower + (upper - lower) * rng.random((per_shape, 3)))
     faces = model.faces or ()
     of_shape = Counter(face.surface for face in faces)
@@ -149,13 +148,9 @@ def _through_any_shapes(model, origin, direction) -> Crossings:
         dr.eval(hit, number, reached, behind, ray)
         # a line that has left has no position to go on from
         alive = alive & np.array(hit)
-        columns.append(
-            (
-                np.where(alive, np.array(number).astype(int), -1),
-                np.array(behind),
-                np.where(alive, np.array(reached, dtype=float), np.inf),
-            )
-        )
+        surface = np.where(alive, np.array(number).astype(int), -1)
+        distance = np.where(alive, np.array(reached, dtype=float), np.inf)
+        columns.append((surface, np.array(behind), distance))
         if not alive.any():
             break
     surface, behind, distance = (np.stack(rows, axis=1) for rows in zip(*columns, strict=True))

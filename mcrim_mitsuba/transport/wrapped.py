@@ -38,11 +38,7 @@ def outlines(
     """Points on the rim of every face of each shape, shape (n, 3), mm; of others, of their box."""
     rims: list[list[np.ndarray]] = [[] for _ in shapes]
     for face in faces:
-        circle = face.circle
-        around = circle is not None and circle.inside
-        rims[face.surface].append(
-            circle.points(face.corner[circle.axis]) if circle and around else face.corners
-        )
+        rims[face.surface].append(face.rim)
     for wall in walls:
         ends = [wall.circle.points(end) for end in (wall.low_mm, wall.high_mm)]
         rims[wall.surface].append(np.concatenate(ends))

@@ -220,10 +220,7 @@ class Polish(mi.BSDF):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.int_ior, self.ext_ior = (
-            _shifted(float(props[f"{side}_ior"]), float(props.get(f"{side}_offset", 0.0)), side)
-            for side in ("int", "ext")
-        )
+        self.int_ior, self.ext_ior = _shifted(props, "int"), _shifted(props, "ext")
         self.roughness_alpha = number(props, "roughness_alpha", 0.0, high=ROUGHEST)
         self.distribution = str(props.get("distribution", "ggx"))
         if self.distribution not in ("ggx", "beckmann"):
@@ -257,8 +254,9 @@ class Polish(mi.BSDF):
     )
 
 
-def _shifted(nominal: float, offset: float, side: str) -> float:
+def _shifted(props: mi.Properties, side: str) -> float:
     """An index with its offset."""
+    nominal, offset = float(props[f"{side}_ior"]), float(props.get(f"{side}_offset", 0.0))
     index = nominal + offset if is_filled(nominal) else nominal
     if not index > 0.0:
         raise ValueError(f"{side}_ior is {index:g} with its offset; an index is positive")

@@ -121,15 +121,8 @@ class LyingMantle(_Lying):
         angle = np.linspace(start, end, max(2, round(_AROUND * (end - start) / 2.0 / np.pi)) + 1)
         y, z = radius * np.sin(angle), radius * (1.0 - np.cos(angle))
         return [
-            np.array(
-                [
-                    (half, y[i], z[i]),
-                    (-half, y[i], z[i]),
-                    (-half, y[i + 1], z[i + 1]),
-                    (half, y[i + 1], z[i + 1]),
-                ]
-            )
-            for i in range(len(angle) - 1)
+            np.array([(half, *near), (-half, *near), (-half, *far), (half, *far)])
+            for near, far in itertools.pairwise(zip(y, z, strict=True))
         ]
 
 
