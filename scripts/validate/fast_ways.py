@@ -52,12 +52,13 @@ def draw(number: int, seed: int) -> Drawn:
     width = even(5.0, 15.0)
     return {
         "crystal_width_mm": width,
-        "crystal_height_mm": even(2.0, 20.0),
+        "crystal_height_mm": by_decade(0.5, 50.0),
         "n_crystal": even(1.9, 2.3),
         "alpha_scat_per_cm": by_decade(*ALPHA_SCAT_PER_CM),
         "alpha_abs_per_cm": by_decade(*ALPHA_ABS_PER_CM),
         "gap_mm": even(0.02, 1.0),
-        "n_gap": 1.0 if random.random() < 0.3 else even(1.0, 1.6),
+        "n_gap": 1.0 if random.random() < 0.3 else even(1.0, 1.65),
+        "n_window": even(1.42, 1.6),
         "aperture_radius_mm": round(width * random.uniform(0.3, 1.3), 4),
     }
 
