@@ -233,6 +233,20 @@ def test_hostile_labels_break_no_figure(scenes, tmp_path):
     assert [row["label"] for row in csv.DictReader(table.open(newline=""))] == list(HOSTILE)
 
 
+def test_texts_over_the_stairs_stay_below_the_title(scenes, tmp_path):
+    _, found = fitted(scenes, tmp_path)
+    for chi2 in ((226.0, 186.0), (430.0, 186.0), (100.0, 90.0)):
+        steps = [
+            RepairStep(i, "x" * i, (), of, 197, 0.1, 1.0, 1.0, 0.0, found.parameters, None)
+            for i, of in enumerate(chi2)
+        ]
+        figure = staircase.draw_staircase(steps).figure
+        figure.draw_without_rendering()
+        for axes in figure.axes:
+            tops = [text.get_window_extent().y1 for text in axes.texts]
+            assert max(tops) < axes.get_window_extent().y1, chi2
+
+
 def test_a_suspicion_is_history_after_the_repair(scenes, tmp_path):
     _, found = fitted(scenes, tmp_path)
     found = replace(found, rows=rows(["air", "gel"]))
