@@ -83,9 +83,8 @@ def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -
         if error.path == str(readings) and error.column == "histogram":
             error.problem = "the table names histograms, which do not come with it"
             error.mend = "upload signals and errors, as `mcrim reduce` writes them"
-        path = error.path
-        if path is not None:
-            path = {str(readings): name, str(target): campaign.path.name}.get(path, path)
+        names = {str(readings): name, str(target): campaign.path.name}
+        path = names.get(error.path or "", error.path)
         raise InputError(
             error.problem, error.mend, path=path, line=error.line, column=error.column
         ) from None
