@@ -84,10 +84,8 @@ def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -
             error.problem = "the table names histograms, which do not come with it"
             error.mend = "upload signals and errors, as `mcrim reduce` writes them"
         names = {str(readings): name, str(target): campaign.path.name}
-        path = names.get(error.path or "", error.path)
-        raise InputError(
-            error.problem, error.mend, path=path, line=error.line, column=error.column
-        ) from None
+        error.path = names.get(error.path or "", error.path)
+        raise
 
 
 def _refuse_other(scene: SceneFile) -> None:
@@ -209,8 +207,7 @@ def campaign_archive(
             path.write_text(content, encoding="utf-8", newline="")
         itself, root = scene.path.resolve(), scene.path.parent.resolve()
         for file in {path.resolve() for path in scene.files} - {itself}:
-            # else it is not below the scene's own folder, or Mitsuba finds it elsewhere
-            if file.is_relative_to(root) and file.is_file():
+            if file.is_relative_to(root) and file.is_file():  # else it lies or is found elsewhere
                 copy = folder / file.relative_to(root)
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(file, copy)
@@ -219,13 +216,13 @@ def campaign_archive(
 
 def _copied(campaign: Campaign, folder: Path) -> Campaign:
     """A campaign whose files were copied to a folder, the readings as the page has them."""
-    moved = {}
-    for name in ("measurements", "spectrum"):
-        if (table := getattr(campaign, name)) is not None:
-            moved[name] = replace(table, path=folder / safe_name(table.path.name, ".csv"))
-    write_text(moved["measurements"].path, measurements_text(campaign.measurements))
-    if campaign.spectrum is not None:
-        shutil.copyfile(campaign.spectrum.path, moved["spectrum"].path)
+    table, light = campaign.measurements, campaign.spectrum
+    copy = folder / safe_name(table.path.name, ".csv")
+    write_text(copy, measurements_text(table))
+    moved: dict[str, Any] = {"measurements": replace(table, path=copy)}
+    if light is not None:
+        copy = folder / safe_name(light.path.name, ".csv")
+        moved["spectrum"] = replace(light, path=Path(shutil.copyfile(light.path, copy)))
     if campaign.effects_folder is not None:
         moved["effects_folder"] = folder / campaign.effects_folder.name
         moved["effects_folder"].mkdir()
