@@ -72,6 +72,7 @@ def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -
 
     Raises InputError, naming the user's file, if the readings cannot be used.
     """
+    _refuse_other(campaign.scene)
     place = Path(tempfile.mkdtemp(dir=folder))
     readings, target = place / safe_name(name, ".csv"), place / safe_name(campaign.path.name, "")
     write_bytes(readings, content)
@@ -82,12 +83,16 @@ def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -
         if error.path == str(readings) and error.column == "histogram":
             error.problem = "the table names histograms, which do not come with it"
             error.mend = "upload signals and errors, as `mcrim reduce` writes them"
-        path = error.path
-        if path is not None:
-            path = {str(readings): name, str(target): campaign.path.name}.get(path, path)
-        raise InputError(
-            error.problem, error.mend, path=path, line=error.line, column=error.column
-        ) from None
+        names = {str(readings): name, str(target): campaign.path.name}
+        error.path = names.get(error.path or "", error.path)
+        raise
+
+
+def _refuse_other(scene: SceneFile) -> None:
+    """Refuse a scene whose files changed: what was simulated is of what they were."""
+    if not scene.is_unchanged():
+        problem = f"{scene.path.name}, or a file that it names, changed since the page was opened"
+        raise InputError(problem, "start mcrim app again, or put back what it was")
 
 
 def with_table(campaign: Campaign, table: str, folder: Path) -> Campaign:
@@ -184,6 +189,7 @@ def campaign_archive(
     """
     stem = f"{safe_name(campaign.path.stem, '')}_{'mended' if effects else 'as_shown'}"
     values = rounded(values)
+    _refuse_other(campaign.scene)
     scene = mended_scene(campaign, effects, values)
     with tempfile.TemporaryDirectory() as name:
         if campaign.raw is not None:
@@ -199,22 +205,24 @@ def campaign_archive(
         text = campaign_with_effects(mended, target, scene_path, sizes, chosen)
         for path, content in ((scene_path, scene_text(scene)), (target, text)):
             path.write_text(content, encoding="utf-8", newline="")
-        root = scene.path.parent.resolve()
-        for included in (Path(file).resolve() for file in scene.included):
-            if included.is_relative_to(root):  # else it is not below the scene's own folder
-                copy = folder / included.relative_to(root)
+        itself, root = scene.path.resolve(), scene.path.parent.resolve()
+        for file in {path.resolve() for path in scene.files} - {itself}:
+            if file.is_relative_to(root) and file.is_file():  # else it lies or is found elsewhere
+                copy = folder / file.relative_to(root)
                 copy.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(included, copy)
+                shutil.copyfile(file, copy)
         return f"{stem}.zip", Path(shutil.make_archive(str(folder), "zip", name, stem)).read_bytes()
 
 
 def _copied(campaign: Campaign, folder: Path) -> Campaign:
-    """A campaign whose files were copied to a folder."""
-    moved = {}
-    for name in ("measurements", "spectrum"):
-        if (table := getattr(campaign, name)) is not None:
-            copy = folder / safe_name(table.path.name, ".csv")
-            moved[name] = replace(table, path=Path(shutil.copyfile(table.path, copy)))
+    """A campaign whose files were copied to a folder, the readings as the page has them."""
+    table, light = campaign.measurements, campaign.spectrum
+    copy = folder / safe_name(table.path.name, ".csv")
+    write_text(copy, measurements_text(table))
+    moved: dict[str, Any] = {"measurements": replace(table, path=copy)}
+    if light is not None:
+        copy = folder / safe_name(light.path.name, ".csv")
+        moved["spectrum"] = replace(light, path=Path(shutil.copyfile(light.path, copy)))
     if campaign.effects_folder is not None:
         moved["effects_folder"] = folder / campaign.effects_folder.name
         moved["effects_folder"].mkdir()

@@ -72,6 +72,8 @@ class Campaign:
 
     #: The file.
     path: Path
+    #: What it said when it was read: it may be edited while a long run or a page goes on.
+    text: str
     #: At the scene's own values.
     scene: SceneFile
     #: The readings.
@@ -321,6 +323,7 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
     tolerances = read_tolerances(document, scene, measurements, sizes)
     campaign = Campaign(
         path=document.path,
+        text=document.text,
         scene=scene,
         measurements=measurements,
         effects_folder=folder,

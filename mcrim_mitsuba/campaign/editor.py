@@ -1,8 +1,7 @@
 """Writes campaigns: one that goes on from another, and the plain form of raw data.
 
 Of every function here: `campaign` is as it was read, and its file is not changed; `target` is where
-the text will be written, for paths in it are relative to its folder. All raise `InputError` if the
-campaign file cannot be read any more."""
+the text will be written, for paths in it are relative to its folder."""
 
 from __future__ import annotations
 
@@ -26,14 +25,13 @@ from mcrim_mitsuba.campaign.raw_data import put_numbers, table_in
 from mcrim_mitsuba.campaign.reduction import RawData
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.errors import InputError, visible
-from mcrim_mitsuba.core.files import attributes, beside, inside, read_text, write_text
+from mcrim_mitsuba.core.files import attributes, beside, inside, write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.effects.effect import OLD_NAMES
 from mcrim_mitsuba.laboratory.calibration import ChannelCalibration
 from mcrim_mitsuba.laboratory.light_yield import SCALE as TUBE_SCALE
 
-_LIMIT_MB = 1
 #: Digits of a SHA-256 that are shown where all of them would be in the way.
 _SHORT_HASH = 12
 
@@ -120,7 +118,7 @@ def _document(
     campaign: Campaign, target: Path, scene: Path, measurements: Path
 ) -> tomlkit.TOMLDocument:
     """The campaign file with its paths as the target needs them."""
-    document = tomlkit.parse(read_text(campaign.path, _LIMIT_MB))
+    document = tomlkit.parse(campaign.text)
     for old, new in OLD_NAMES.items():
         if table_in(document, f"parameters.{old}") is not None:
             document["parameters"][new] = document["parameters"].pop(old)

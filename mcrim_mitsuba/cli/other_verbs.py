@@ -16,6 +16,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import STDOUT, make_folder, refuse_to_replace, write_text
 from mcrim_mitsuba.core.rounding import capital
 from mcrim_mitsuba.effects.trust import execute_allowed
+from mcrim_mitsuba.inference.repair import text_for_folder
 from mcrim_mitsuba.output.registry import VerbResult
 from mcrim_mitsuba.runs.array_job import DEFAULT_FOLDER, MergingExecutor, UnitFolder
 from mcrim_mitsuba.runs.cache import other_version
@@ -146,14 +147,8 @@ def add(effect, scene, path, values, folder) -> None:
     text = showing.when_trusted(added, "Effects of somebody else are programs of theirs.")
     new = old.edited(text)
     if path not in STDOUT:
+        text = text_for_folder(new, Path(path).parent)
         refuse_to_replace({Path(path): text})
-        named = [str(e.get("filename") or e.get("value")) for e, _ in new.naming()]
-        named += [file.name for file in new.included]
-        elsewhere = Path(path).resolve().parent != new.path.resolve().parent
-        for name in named if elsewhere else ():
-            if not Path(name).is_absolute():
-                problem = f"the scene names {name}, which is not found from another folder"
-                raise InputError(problem, f"write the new scene into {new.path.parent}", path=path)
     write_text(path, text)
     if path not in STDOUT:
         read_scene(path)

@@ -45,6 +45,8 @@ class TomlDocument:
     #: Line of every table and key by its dotted name. tomllib keeps no lines: these come
     #: from a plain scan and serve error messages only.
     lines: dict[str, int]
+    #: All of it.
+    text: str
     #: What the file is, for error messages.
     kind: str = "a campaign"
 
@@ -151,7 +153,7 @@ def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
         problem = "a whole number has thousands of digits"
         line = _line_of(_MANY_DIGITS.search(text), text)
         raise InputError(problem, "correct it", path=path, line=line) from None
-    document = TomlDocument(path, content, _lines(text), kind)
+    document = TomlDocument(path, content, _lines(text), text, kind)
     _refuse_monsters(document)
     return document
 

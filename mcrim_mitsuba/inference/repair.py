@@ -210,14 +210,19 @@ def scene_text(scene: SceneFile) -> str:
 
 
 def text_for_folder(scene: SceneFile, folder: Path) -> str:
-    """The text of a scene in a folder, from which the spectra of its indices are found."""
-    spectra = {
-        name: (known.material.name, known.emission)
-        for name, known in scene.materials.items()
-        if known.emission is not None
-    }
-    if not spectra or folder.resolve() == scene.path.parent.resolve():
+    """The text of a scene in a folder, from which the spectra of its indices are found.
+
+    Raises InputError if parts or meshes that it names are not.
+    """
+    indices = scene.materials.items()
+    spectra = {n: (of.material.name, of.emission) for n, of in indices if of.emission is not None}
+    if folder.resolve() == scene.path.parent.resolve():
         return scene_text(scene)
+    named = {str(e.get("filename") or e.get("value")) for e, _ in scene.naming()}
+    named |= {file.name for file in scene.included} - {path.name for _, path in spectra.values()}
+    if lost := sorted(name for name in named if not Path(name).is_absolute()):
+        problem = f"the scene names {lost[0]}, which is not found from another folder"
+        raise InputError(problem, f"write the new one into {scene.path.parent}", path=scene.path)
     editor = SceneEditor(scene, {})
     for name, (material, emission) in spectra.items():
         path = Path(os.path.relpath(emission, folder)).as_posix()

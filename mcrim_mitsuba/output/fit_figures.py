@@ -160,6 +160,7 @@ def _draw_along(
         open_mark: dict[str, Any] = _OPEN | {"color": style.GREY, "ls": ""}
         handles.append(Line2D([], [], label="reading not used", **open_mark))
     upper.set_ylabel(style.signal_title(unit, "\n"), parse_math=False)
+    upper.yaxis.set_major_formatter("{x:g}")
     upper.set_ylim(bottom=0.0)
     lower.set_xlabel(titled(series.parameter))
     style.legend_above(upper, handles, ncols=2, handlelength=2.2)
@@ -269,6 +270,7 @@ def _draw_signals(axes: Axes, places: np.ndarray, fits: Sequence[_Pulls], unit: 
         handles.append(Line2D([], [], label="model" if name == "fit" else f"model {name}", **dash))
     handles += _mark_suspects(axes, places, before) if len(fits) == 1 else []
     axes.set_ylabel(style.signal_title(unit, "\n"), parse_math=False)
+    axes.yaxis.set_major_formatter("{x:g}")  # a power of ten over the axis lies under the legend
     axes.set_ylim(bottom=min(0.0, 1.1 * float(measured.min(initial=0.0))))
     of_beam = [row.of_beam for row in before.rows]
     if any(of_beam):

@@ -232,9 +232,8 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
     remarks = remarks_on(repaired.diagnosis, repaired.effects)
     scene, text = mended_files(campaign, repaired.fit, target, remarks)
     old, name = campaign.scene, target.with_suffix(".xml").name
-    before = read_bytes(campaign.path, _LIMIT_MB).decode("utf-8-sig", errors="replace")
     return (
-        changed("campaign", campaign.path.name, before, target.name, text),
+        changed("campaign", campaign.path.name, campaign.text, target.name, text),
         changed("scene", old.path.name, scene_text(old), name, scene_text(scene)),
     )
 

@@ -298,6 +298,7 @@ def as_campaign(configurations: Sequence[Configuration], drawn: DrawnCampaign) -
     )
     return Campaign(
         path=Path("closure.toml"),
+        text="",
         scene=read_scene(SCENE),
         measurements=Measurements(Path("closure.csv"), (), COLUMNS, readings),
         parameters={one.name: one for one in parameters},

@@ -212,6 +212,15 @@ def test_what_is_typed_is_what_is_meant(browser, campaign, shared_cache):
         assert browser.complaints() == []
 
 
+# All at once: a chart may be drawn anew between two questions.
+TEXTS = """
+return [...document.querySelectorAll(arguments[0])].map(function (e) {
+    const box = e.getBoundingClientRect();
+    return [e.textContent, box.x, box.y];
+});
+"""
+
+
 def test_each_error_and_each_axis_says_what_it_is(browser, campaign, shared_cache):
     with running(campaign, shared_cache, browser) as app:
         assert not browser.find("#falling-chart").is_displayed()  # one fit would be a dot
@@ -238,10 +247,10 @@ def test_each_error_and_each_axis_says_what_it_is(browser, campaign, shared_cach
             "rgb(30, 33, 37)",
         ]
         browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
-        ticks = [float(tick.text) for tick in browser.all("#falling-chart .tick")]
-        places = [tick.location["y"] for tick in browser.all("#falling-chart .tick")]
+        drawn = browser.run(TEXTS, "#falling-chart .tick")
+        ticks = [float(text) for text, _, _ in drawn]
         rising = [b > a for a, b in itertools.pairwise(ticks)]
-        higher = [b < a for a, b in itertools.pairwise(places)]
+        higher = [b < a for (_, _, a), (_, _, b) in itertools.pairwise(drawn)]
         assert len(ticks) > 2 and all(rising) and all(higher), ticks
         time.sleep(0.5)
         browser.screenshot_whole("errors and axes")
@@ -455,6 +464,19 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(browser, tmp_path, shared
         assert browser.complaints() == []
 
 
+def test_small_signals_stand_whole_beside_their_axis(browser, campaign, shared_cache, scenes):
+    lines = (scenes / "camoo4_misfit.csv").read_text().splitlines()
+    cells = [lines[line].split(",") for line in (3, 4, 8, 16)]
+    small = [[row[0], row[1] + "e-6", row[2] + "e-6", *row[3:]] for row in cells]
+    table = campaign.parent / "few.csv"
+    table.write_text("\n".join([lines[2], *map(",".join, small)]) + "\n")
+    with running(campaign, shared_cache, browser):
+        ticks = browser.run(TEXTS, "#readings-chart .tick")
+        title = browser.find("#readings-chart .title").rect
+        assert "1e\u22125" in [text for text, _, _ in ticks], ticks
+        assert min(x for _, x, _ in ticks) > title["x"] + title["width"], ticks
+
+
 def test_many_readings_are_told_apart(browser, campaign, shared_cache, scenes):
     lines = (scenes / "camoo4_misfit.csv").read_text().splitlines()
     rows = [lines[3 + place % 16].split(",", 1) for place in range(300)]
@@ -474,7 +496,7 @@ def test_many_readings_are_told_apart(browser, campaign, shared_cache, scenes):
         mark = browser.find("#readings-chart .mark").rect
         assert mark["width"] > 8  # nor do readings
         area = chart.rect
-        assert area["x"] + 52 < mark["x"] < area["x"] + area["width"]  # it was scrolled into sight
+        assert area["x"] + 70 < mark["x"] < area["x"] + area["width"]  # it was scrolled into sight
         heap = browser.run("return performance.memory.usedJSHeapSize") / 1e6
         assert heap < 100, heap
         browser.screenshot("many readings")

@@ -152,6 +152,47 @@ def test_readings_are_edited_in_the_table(files):
         assert (same.chi2, same.ndf) == (pytest.approx(found.chi2, rel=1e-5), found.ndf)
 
 
+def test_files_that_change_beside_an_open_page_change_nothing_in_it(files, scenes):
+    folder, text = files
+    table = (folder / "camoo4_misfit.csv").read_text()
+    (folder / "bench.xml").write_text((scenes / "camoo4.xml").read_text())
+    text = text.replace(str(scenes / "camoo4.xml"), "bench.xml")
+    (folder / "bench.toml").write_text(text)
+    with opened(folder / "bench.toml", folder) as session:
+        (folder / "camoo4_misfit.csv").write_text(table.replace("air,12.963", "air,99.963"))
+        (folder / "bench.toml").write_text(text.replace("energy_keV = 59.5", "energy_keV = 662"))
+        packed = read_campaign(downloaded(session, folder / "got"))
+        assert packed.measurements.readings[0].signal == 12.963
+        assert packed.light_yield.energy_keV == 59.5
+        session.edit(exchange.with_cell, 0, "label", "dry")
+        assert session.state.campaign.light_yield.energy_keV == 59.5
+        # what was simulated is of the bench as it was
+        scene = (folder / "bench.xml").read_text()
+        (folder / "bench.xml").write_text(scene.replace("1.52", "1.6"))
+        with pytest.raises(InputError, match=r"^bench\.xml, .* changed since the page was opened"):
+            session.edit(exchange.with_cell, 0, "label", "air")
+        with pytest.raises(InputError, match=r"^bench\.xml, .* changed since the page was opened"):
+            exchange.campaign_archive(session.state.campaign, (), {})
+        (folder / "bench.xml").write_text(scene + "\n")
+        session.edit(exchange.with_cell, 0, "label", "air")
+
+
+def test_a_mesh_goes_with_the_campaign(scenes, tmp_path):
+    box = "v -9 -9 -5\nv 9 -9 -5\nv 9 9 -5\nv -9 9 -5\nf 1 2 3\nf 1 3 4\n"
+    (tmp_path / "here" / "parts").mkdir(parents=True)
+    (tmp_path / "here" / "parts" / "plate.obj").write_text(box)
+    plate = '<shape type="obj"><string name="filename" value="parts/plate.obj"/></shape></scene>'
+    for name in ("camoo4.xml", "camoo4_campaign.toml", "camoo4_measured.csv"):
+        text = (scenes / name).read_text().replace("</scene>", plate)
+        (tmp_path / "here" / name).write_text(text)
+    campaign = read_campaign(tmp_path / "here" / "camoo4_campaign.toml")
+    _, content = exchange.campaign_archive(campaign, (), {})
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        packed.extractall(tmp_path / "there")
+    [mesh] = (tmp_path / "there").rglob("plate.obj")
+    assert mesh.read_text() == box and mesh.parent.name == "parts"
+
+
 def test_the_kind_of_a_reading_is_chosen_in_the_table(files, scenes):
     folder, _ = files
     text = (scenes / "camoo4_three.toml").read_text()

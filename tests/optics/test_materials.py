@@ -393,6 +393,15 @@ def test_a_scene_written_elsewhere_finds_its_spectrum(bench, tmp_path, spectrum_
     assert text_for_folder(scene, tmp_path) == scene_text(scene)
 
 
+def test_a_scene_whose_parts_stay_behind_is_not_written_elsewhere(bench, scenes, tmp_path):
+    bar = read_scene(scenes / "plastic_bar.xml")
+    assert "luag_fibre.xml" in text_for_folder(bar, scenes)
+    line = refusal(text_for_folder, bar, tmp_path)
+    assert "names luag_fibre.xml, which is not found from another folder; write the new" in line
+    alone = read_scene(bench())
+    assert text_for_folder(alone, tmp_path / "new") == scene_text(alone)
+
+
 def test_check_says_where_an_index_comes_from(bench, mcrim):
     path = bench(n_crystal="CaMoO4@540nm")
     result = mcrim.json("check", path, "-D", "n_window=BK7@540nm")

@@ -233,6 +233,30 @@ def test_hostile_labels_break_no_figure(scenes, tmp_path):
     assert [row["label"] for row in csv.DictReader(table.open(newline=""))] == list(HOSTILE)
 
 
+def test_currents_have_their_power_of_ten_at_every_number(scenes, tmp_path):
+    _, found = fitted(scenes, tmp_path)
+    small = [replace(row, measured=1e-9, sigma=1e-11, model=2e-9) for row in rows(["air", "gel"])]
+    axes = comparison.draw_comparison(replace(found, rows=tuple(small)), unit="A").figure.axes[0]
+    axes.figure.draw_without_rendering()
+    assert not axes.yaxis.get_offset_text().get_text()
+    ticks = [label.get_text().replace("−", "-") for label in axes.get_yticklabels()]
+    assert len(ticks) > 2 and [float(tick) for tick in ticks] == pytest.approx(axes.get_yticks())
+
+
+def test_texts_over_the_stairs_stay_below_the_title(scenes, tmp_path):
+    _, found = fitted(scenes, tmp_path)
+    for chi2 in ((226.0, 186.0), (430.0, 186.0), (100.0, 90.0)):
+        steps = [
+            RepairStep(i, "x" * i, (), of, 197, 0.1, 1.0, 1.0, 0.0, found.parameters, None)
+            for i, of in enumerate(chi2)
+        ]
+        figure = staircase.draw_staircase(steps).figure
+        figure.draw_without_rendering()
+        for axes in figure.axes:
+            tops = [text.get_window_extent().y1 for text in axes.texts]
+            assert max(tops) < axes.get_window_extent().y1, chi2
+
+
 def test_a_suspicion_is_history_after_the_repair(scenes, tmp_path):
     _, found = fitted(scenes, tmp_path)
     found = replace(found, rows=rows(["air", "gel"]))

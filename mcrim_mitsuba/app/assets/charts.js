@@ -2,7 +2,7 @@
 
 const SVG = "http://www.w3.org/2000/svg";
 const TOP = 12;
-const LEFT = 52;
+const LEFT = 70;
 const RIGHT = 12;
 // heights of the panels of signals and pulls; a low window's chart stays beside its sliders, a
 // narrow one above them
@@ -57,7 +57,9 @@ function logarithmicTicks(low, high) {
   return found.filter((value) => value >= low && value <= high);
 }
 
-const numberText = (value) => String(Number(value.toPrecision(6))).replace("-", "\u2212");
+// beside an axis is room for six characters
+const short = (text) => (text.length > 6 ? Number(text).toExponential().replace("+", "") : text);
+const numberText = (value) => short(`${Number(value.toPrecision(6))}`).replaceAll("-", "\u2212");
 
 // at least `least`, grown by steps until all fit
 function stepped(least, wanted) {
