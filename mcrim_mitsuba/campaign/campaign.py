@@ -557,7 +557,8 @@ def _refuse_effects(names: Sequence[str], campaign: Campaign) -> None:
             raise InputError(problem, f"do without {name}")
         if missing := effect.missing(campaign.values):
             problem = f"{name} needs {missing}, which is no parameter of {campaign.scene.path.name}"
-            raise InputError(problem, f"declare it there, or do without {name}")
+            mend = f"let the scene's number of this meaning have this name, or do without {name}"
+            raise InputError(problem, mend)
     if pair := exclude_each_other([campaign.catalogue[name] for name in names]):
         raise InputError(f"{pair[0]} and {pair[1]} exclude each other", "remove one of the two")
 

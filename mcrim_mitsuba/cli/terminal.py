@@ -27,7 +27,7 @@ from rich.text import Text
 from mcrim_mitsuba.core import files
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import STDOUT, silence_stdout
-from mcrim_mitsuba.core.run import ENDING_SIGNALS, JobProgress, Parts
+from mcrim_mitsuba.core.run import ENDING_SIGNALS, OWN_MODULES, JobProgress, Parts
 from mcrim_mitsuba.output.description import UNLIMITED, Part, renderables, sentence
 from mcrim_mitsuba.runs.array_job import PartDoneError
 from mcrim_mitsuba.runs.executors import log
@@ -297,6 +297,12 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
     except click.ClickException as error:
         return _say(name, error.format_message(), YOUR_INPUT)
     except Exception as error:
+        for frame, lineno in reversed(list(traceback.walk_tb(error.__traceback__))):
+            # what a user's effect does, when it acts, is not checked before
+            if str(frame.f_globals.get("__name__")).startswith(OWN_MODULES):
+                file, problem = frame.f_code.co_filename, f"{type(error).__name__}: {error}"
+                refusal = InputError(problem, "mend this line", path=file, line=lineno)
+                return _say(name, str(refusal), YOUR_INPUT)
         if not isinstance(error, OSError) or error.errno not in _ROOM:
             traceback.print_exc()
             line = "this is our fault, not yours: please report the lines above"

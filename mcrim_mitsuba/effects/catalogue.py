@@ -188,11 +188,11 @@ def add(
             editor.declare(parameter.name, given[parameter.name], parameter.comment())
     try:
         chosen.edit(editor)
+        text = editor.finished()
     except InputError:
         raise
-    except Exception as error:  # whatever a user's file does
+    except (Exception, SystemExit) as error:  # whatever a user's file does
         raise _broken(chosen, f"{type(error).__name__}: {error}", error) from None
-    text = editor.finished()
     try:
         scene.edited(text)
     except InputError as error:
@@ -227,7 +227,7 @@ def refusal_of(effect: Effect, scene: SceneFile) -> str | None:
     return problem
 
 
-def _broken(effect: Effect, problem: str, error: Exception | None = None) -> BrokenEffectError:
+def _broken(effect: Effect, problem: str, error: BaseException | None = None) -> BrokenEffectError:
     """The refusal of an effect whose own code is wrong, with its file and line."""
     assert effect.edit is not None
     code = function_of(effect.edit).__code__

@@ -392,12 +392,14 @@ class Effect:
         if self.reading is not None:
             if len(self.parameters) != 1:
                 raise ValueError(f"{self.name}: an effect of the readings has one parameter")
-            taken = len(inspect.signature(self.reading).parameters)
-            if taken == 2:
+            given = inspect.signature(self.reading).parameters.values()
+            taken = sum(argument.kind is not argument.KEYWORD_ONLY for argument in given)
+            # a copy of an effect has been here before
+            if taken == 2 and getattr(self.reading, "func", None) is not _of_signal_alone:
                 of_signal = functools.partial(_of_signal_alone, self.reading)
                 functools.update_wrapper(of_signal, self.reading)
                 object.__setattr__(self, "reading", of_signal)
-            elif taken != 3:
+            elif taken not in (2, 3):
                 problem = "its reading must take signals and value, and may take rows"
                 raise ValueError(f"{self.name}: {problem}")
         if self.proposal is not None and set(self.proposal) != {p.name for p in self.parameters}:

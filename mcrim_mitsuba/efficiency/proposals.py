@@ -72,7 +72,7 @@ USUAL_ALPHA_SCAT_PER_CM = 0.5
 _STARTS_PER_CM = (0.15, 1.7)
 #: How far below an absorption that is asked for the grid reaches, and its outermost ends, 1/cm.
 _LEAST_REACH = 3.0
-_LEAST_ABSORPTION_PER_CM = 1e-3
+LEAST_ABSORPTION_PER_CM = 1e-3
 _MOST_ABSORPTION_PER_CM = 2.0
 #: Ends of the range where a fit goes beyond the usual one: as far as eta is ever worked out.
 _WIDE_RANGE_PER_CM = (0.0005, 10.0)
@@ -88,17 +88,18 @@ _USUAL_PROPOSALS = ScatteringProposals(
 )
 #: A transmittance may allow next to no losses, and the readings of light much scattering; crystals
 #: may be as unlike.
-_UNLIKE = Grid((0.002, 5.0), (_LEAST_ABSORPTION_PER_CM, 0.15))
+_UNLIKE = Grid((0.002, 5.0), (LEAST_ABSORPTION_PER_CM, 0.15))
 _UNLIKE_PROPOSALS = ScatteringProposals(
     (0.003, 0.012, 0.04, 0.12, 0.3, 0.6, 1.3, 3.5), (2, 2, 2, 2, 3, 2, 2, 1), 0.001
 )
 
 
 class Beyond(NamedTuple):
-    """At which ends of the usual range of alpha_scat a fit goes beyond it."""
+    """At which ends of the usual range of alpha_scat a fit goes beyond it, or below alpha_abs's."""
 
     low: bool = False
     high: bool = False
+    clear: bool = False
 
 
 WITHIN = Beyond()
@@ -133,14 +134,16 @@ def coverage_of(
         factor = float(f"{starts[0] / USUAL_ALPHA_SCAT_PER_CM:.1g}")
     least, most = (factor * end for end in usual.alpha_scat_range_per_cm)
     absorption = _absorption_range(campaign, *usual.alpha_abs_range_per_cm)
+    if beyond.clear:
+        absorption = LEAST_ABSORPTION_PER_CM, absorption[1]
     drawn = tuple(factor * alpha for alpha in proposals.alpha_scat_per_cm)
     proposals = ScatteringProposals(drawn, proposals.units, absorption[0])
-    if any(beyond):
+    if any(beyond[:2]):
         # as far as the campaign lets it: each further proposal takes photons from all others
         allowed = max(parameter.maximum for parameter in _of_samples_too(campaign, ALPHA_SCAT))
         least = min(least, _WIDE_RANGE_PER_CM[0]) if beyond.low else least
         most = max(most, min(allowed, _WIDE_RANGE_PER_CM[1])) if beyond.high else most
-    if any(beyond) or most > most_per_cm:
+    if any(beyond[:2]) or most > most_per_cm:
         most = min(most, most_per_cm)
         proposals = choose_proposals(least, most, absorption[0])
     ranges = (least, most), absorption
@@ -157,7 +160,7 @@ def _absorption_range(campaign: Campaign, low: float, high: float) -> tuple[floa
     columns = (reading.parameters for reading in campaign.measurements.readings)
     asked += [float(values[ALPHA_ABS]) for values in columns if ALPHA_ABS in values]
     if min(asked) < _LEAST_REACH * low:
-        low = max(float(f"{min(asked) / _LEAST_REACH:.1g}"), _LEAST_ABSORPTION_PER_CM)
+        low = max(float(f"{min(asked) / _LEAST_REACH:.1g}"), LEAST_ABSORPTION_PER_CM)
     for parameter in parameters:
         if not parameter.fixed:
             most = parameter.maximum

@@ -283,7 +283,8 @@ class Judgement:
             reason += f"; but {besides} something that is in no catalogue"
             return Verdict(AMBIGUOUS, reason, leading)
         reason = f"the readings cannot tell apart {self._titles(leading)}: {quality} with the first"
-        if named:
+        # effects of no family are no relatives
+        if named := tuple(family for family in named if family != OTHERS):
             reason += f"; that it is of the family {' and '.join(named)} is as good as sure"
         return Verdict(AMBIGUOUS, reason, leading)
 

@@ -177,11 +177,13 @@ def _read_with(effect: Effect, campaign: Campaign) -> Array:
 def acts_on(effect: Effect, campaign: Campaign) -> bool:
     """Whether an effect of the readings changes any that is used: there may be one crystal only."""
     assert effect.reading is not None
-    ones = np.ones(len(campaign.measurements.readings))
-    read = effect.reading(ones, effect.parameters[0].start, _rows(campaign))[0]
-    used = _read_with(effect, campaign) & [each.use for each in campaign.measurements.readings]
+    readings = campaign.measurements.readings
+    # its own signals: some do nothing to a signal of 1, powers and thresholds among them
+    signals = np.array([reading.signal for reading in readings])
+    read = effect.reading(signals, effect.parameters[0].start, _rows(campaign))[0]
+    used = _read_with(effect, campaign) & [each.use for each in readings]
     # a background may begin at none
-    return bool((read != 1.0)[used].any()) or effect.parameters[0].start == 0.0
+    return bool((read != signals)[used].any()) or effect.parameters[0].start == 0.0
 
 
 class ResponseModel:

@@ -18,7 +18,7 @@ from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE, Read
 from mcrim_mitsuba.campaign.treatments import as_in_scene, states, taken_off
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT, SOURCE_Z, Value
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, SOURCE_Z, Value
 from mcrim_mitsuba.core.rounding import number
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import refusal_of
@@ -26,7 +26,7 @@ from mcrim_mitsuba.effects.effect import WRONG, Effect
 from mcrim_mitsuba.effects.scene_edits import GAP, HEIGHT, WIDTH
 from mcrim_mitsuba.efficiency.attenuation import SOURCE_WIDTH
 from mcrim_mitsuba.efficiency.eta_grid import APERTURE, WINDOW
-from mcrim_mitsuba.efficiency.proposals import Beyond
+from mcrim_mitsuba.efficiency.proposals import LEAST_ABSORPTION_PER_CM, Beyond
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR, ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Anchor, Responses
 from mcrim_mitsuba.efficiency.schedule import Schedule
@@ -265,22 +265,23 @@ class CampaignSimulations:
         return self._beyond == before
 
     def _goes_beyond(self, minimum: Minimum) -> Beyond:
-        """At which ends the readings ask for scattering that the simulations do not cover.
+        """At which ends the readings ask for coefficients that the simulations do not cover.
 
         They do where chi2 has not risen by `ONE_SIGMA` up to there, or it is near, and the campaign
         allows more: of readings that are far from described, chi2 is steep and rough.
         """
         statistic, beyond = minimum.statistic, list(self._beyond)
+        sides = {ALPHA_SCAT: (0, 1), ALPHA_ABS: (2,)}  # places in it
         for place, bounds in enumerate(statistic.free):
-            if self.campaign.stands_for(bounds.name) != ALPHA_SCAT:
-                continue
-            allowed = self.campaign.parameters[bounds.name]
-            most = min(allowed.maximum, self._most_per_cm)
-            goes_on = bounds.minimum > allowed.minimum, bounds.maximum < most
-            for side, end in enumerate((bounds.minimum, bounds.maximum)):
+            for side in sides.get(self.campaign.stands_for(bounds.name), ()):
+                allowed = self.campaign.parameters[bounds.name]
+                least = LEAST_ABSORPTION_PER_CM if side == 2 else 0.0
+                goes_on = bounds.minimum > max(allowed.minimum, least)
+                if side == 1:
+                    goes_on = bounds.maximum < min(allowed.maximum, self._most_per_cm)
                 start = minimum.theta.copy()
-                start[place] = end
-                if goes_on[side]:
+                start[place] = end = bounds.maximum if side == 1 else bounds.minimum
+                if goes_on:
                     near = abs(math.log(minimum.theta[place] / end)) < math.log(EXTENT.near_end)
                     chi2 = newton(statistic, start, minimum.weights, held=[place]).height
                     beyond[side] |= near or chi2 < minimum.chi2 + ONE_SIGMA

@@ -432,6 +432,18 @@ def test_python_of_a_campaign_is_executed_when_its_user_says_so(
     assert len(asked) == 2 and Path("settings/mcrim_mitsuba/trusted_effects.txt").is_file()
 
 
+def test_an_effect_of_one_s_own_that_fails_when_it_acts_is_named_with_its_line(mcrim, campaign):
+    Path("theirs").mkdir()
+    Path("theirs/drift.py").write_text(DRIFT.replace("g + 0 * s", "h + 0 * s"))
+    path = Path(campaign)
+    names = 'effects = ["drift"]\neffects_folder = "theirs"'
+    text = path.read_text().replace("effects = []", names)
+    path.write_text(text + "[parameters.scale]\nstart = 1\nfixed = true\n")
+    refused = mcrim.refused("calibrate", campaign, "--trust-effects")
+    line = 1 + DRIFT.splitlines().index("act = lambda s, g: (g * s, g + 0 * s, s)")
+    assert f"theirs/drift.py, line {line}: NameError: name 'h' is not defined; mend" in refused
+
+
 def test_a_profile_that_is_no_parabola_is_said():
     values = np.linspace(0.0, 0.6, 61)
     rise = ((values - 0.3) / 0.03) ** 2

@@ -475,6 +475,27 @@ def test_a_broken_file_is_named_with_its_line(tmp_path, old, new, line, says):
     assert refused.startswith(f"{tmp_path / 'spot.py'}, line {line}: ") and says in refused
 
 
+def power(signals, value, *, scale=1.0):
+    """A readout that leaves signals of 1 as they are."""
+    read = scale * (signals / scale) ** (1 + value)
+    return read, (1 + value) * read / signals, read * np.log(signals / scale)
+
+
+@pytest.mark.parametrize("reading", [power, functools.partial(power, scale=2.0)])
+def test_a_reading_of_one_s_own_is_tried_and_kept_in_copies(campaign, reading):
+    number = {"minimum": -0.5, "maximum": 0.5, "start": 0.05, "plausible": (-0.2, 0.2), "nodes": ()}
+    size = EffectParameter(
+        name="power", meaning="x", **number, plausible_beside=lambda signals: (-0.1, 0.1)
+    )
+    own = Effect("power", "x", "x", "x", parameters=(size,), reading=reading)
+    mine = replace(campaign, catalogue={**campaign.catalogue, "power": own})
+    assert "power" in CampaignSimulations(mine, Run()).possible()
+    signals, rows = np.array([2.0, 30.0]), Rows(np.zeros(2), np.zeros(2, bool))
+    copy = own.beside(signals).beside(signals)
+    assert copy.parameters[0].plausible == (-0.1, 0.1)
+    assert np.array_equal(copy.reading(signals, 0.1, rows), reading(signals, 0.1))
+
+
 def test_nothing_to_load_is_said(tmp_path):
     for folder, says in [(tmp_path, "there is no effect"), (tmp_path / "no", "not a folder")]:
         assert says in refusal(catalogue, folder)

@@ -142,6 +142,18 @@ def test_a_fit_finds_little_scattering_from_any_start(scenes):
     assert all(fit.chi2 < 6 and fit.parameters[known.name].value < 0.01 for fit in fits)
 
 
+def test_a_fit_finds_a_clear_crystal_from_any_start(scenes):
+    """The same of absorption: from 0.03 /cm a fit ended at 0.003, the end of that start's range."""
+    clear, fits = read_campaign(scenes / "camoo4_misfit.toml"), []
+    known = replace(clear.parameters["alpha_abs_per_cm"], prior=0.0, prior_sigma=5e-4)
+    for start in (0.002, 0.03):
+        parameters = {**clear.parameters, known.name: replace(known, start=start)}
+        campaign = replace(clear, parameters=parameters, tolerances=())
+        fits.append(CampaignSimulations(campaign, Run(LANES, seed=3, check=False)).fit())
+    values = [fit.parameters[known.name].value for fit in fits]
+    assert max(values) < 0.003 and fits[0].chi2 == pytest.approx(fits[1].chi2, abs=1e-3)
+
+
 @pytest.mark.parametrize("given", ["", "crystal_width_mm = 0.05\n", "window_width_mm = 0.05\n"])
 def test_a_crystal_may_be_as_wide_as_its_window(campaign, given):
     """What has no room is exact, or off to one side where the campaign says how far."""

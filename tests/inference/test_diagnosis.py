@@ -408,6 +408,24 @@ def test_what_only_the_simulations_error_lets_lead_is_named_apart(monkeypatch):
         assert verdict.unsettled == (("source",),) and ("haze",) not in verdict.leading
 
 
+def test_effects_of_no_family_are_not_told_as_one(monkeypatch):
+    """Two of a user's own led: "of the family others"."""
+    monkeypatch.setattr(judgement, "error_of_difference", lambda fit, best: 0.0)
+    even = {"log_weight": 0.0, "log_scale": 0.0, "log_scale_sigma": 0.1, "evidence": object()}
+    hypotheses = tuple(Hypothesis(effects=(name,), **even) for name in ("label", "browning"))
+    explanations = SimpleNamespace(
+        fit=lambda key: SimpleNamespace(chi2=5.0, ndf=3, p_value=0.15), title=" with ".join
+    )
+    for families, ending in (
+        ({"others": 0.99}, "with the first"),
+        ({"surface": 0.99, "others": 0.98}, "that it is of the family surface is as good as sure"),
+    ):
+        weighing = SimpleNamespace(
+            hypotheses=hypotheses, shares=np.array([0.5, 0.5]), families=families
+        )
+        assert Judgement(explanations, None, weighing)._of_leading(()).reason.endswith(ending)
+
+
 @pytest.mark.parametrize("best", [0.5, 1e-5])
 def test_what_the_readings_refuse_leads_only_beside_its_like(best):
     """A mask off its axis led that gained nothing: larger errors explained the readings."""
