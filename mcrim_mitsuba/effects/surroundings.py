@@ -15,7 +15,7 @@ from mcrim_mitsuba.effects.effect import (
     one_parameter,
     weight_of_reflections,
 )
-from mcrim_mitsuba.effects.scene_edits import crystal_box, element, set_masks, set_part
+from mcrim_mitsuba.effects.scene_edits import HEIGHT, crystal_box, element, set_masks, set_part
 from mcrim_mitsuba.scene.editor import INTERFACES, Node, SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE
@@ -32,15 +32,18 @@ def edit_top_reflector(editor: SceneEditor) -> None:
     editor.refuse_id("top_reflector")
     box = crystal_box(editor)
     last = max((face for faces in box.values() for face in faces), key=editor.shapes.index)
+    height_mm = float(editor.scene.parameters[HEIGHT])
+    # above 5 cm a thinner one is none in single precision
+    film_mm = f"{max(0.01, 2e-4 * height_mm):.2g}"
     editor.insert_shape(
-        """<!-- A white reflector exactly over the top face, behind 0.01 mm of air -->
+        f"""<!-- A white reflector exactly over the top face, behind {film_mm} mm of air -->
 <shape type="rectangle" id="top_reflector">
   <transform name="to_world">
     <scale x="$crystal_width_mm" y="$crystal_width_mm"/>
     <rotate x="1" angle="180"/>
     <scale value="0.5"/>
     <translate z="$crystal_height_mm"/>
-    <translate z="0.01"/>
+    <translate z="{film_mm}"/>
   </transform>
   <bsdf type="diffuse">
     <spectrum name="reflectance" value="$top_reflectance"/>

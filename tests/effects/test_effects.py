@@ -267,6 +267,12 @@ def test_a_reflector_lies_on_a_top_that_the_wrapping_leaves_bare(scenes, tmp_pat
     assert "wrapping covers the top already" in refusal(add, "top_reflector", read_scene(path))
 
 
+@pytest.mark.parametrize("height_mm", [15.0, 60.0, 200.0])
+def test_a_reflector_on_a_tall_crystal_is_told_from_its_top(scenes, height_mm):
+    tall = read_scene(scenes / "lyso_sipm.xml", {"crystal_height_mm": height_mm})
+    assert Simulation(tall.edited(add("top_reflector", tall))).model.faces
+
+
 def test_an_included_file_of_another_folder_is_named(tmp_path, bench):
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts/bench.xml").write_text(bench.path.read_text())

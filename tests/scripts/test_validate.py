@@ -15,7 +15,7 @@ import pytest
 from places import SCRIPTS
 from scipy.stats import binom
 from validate import __main__ as command
-from validate import benches, fast_ways, folding, formulas, judging, units
+from validate import benches, fast_ways, folding, formulas, judging, random_benches, units
 from validate.judging import FALSE_ALARM, POWER, judge
 from validate.units import FORMULA, GEANT4, MITSUBA, NUMPY, SOLVER, Results, Unit, do_all
 
@@ -370,6 +370,14 @@ def test_folded_flights_agree_with_straight_ones():
     # an error of half a per cent in one eta would be found
     assert max(row.straight_sigma / row.straight for row in differences if row.what == "eta") < 2e-3
     assert not folding.compare("edge_chamfer", 400_000, 3)
+
+
+def test_random_benches_are_alike_in_both_programs():
+    """Some with effects; what is refused is said."""
+    rows = [random_benches.compare(number, 3, 10_000) for number in (2, 4, 5)]
+    assert [row.p_value is None for row in rows] == [False, True, False]
+    assert min(row.p_value for row in rows if row.p_value is not None) > FALSE_ALARM / 2, rows
+    assert all(row.effects for row in rows) and "must exceed" in rows[1].words
 
 
 def test_a_fast_way_that_is_off_on_few_benches_is_found():
