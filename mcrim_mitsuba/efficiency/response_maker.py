@@ -255,7 +255,7 @@ class ResponseMaker:
             for bench in benches
         ]
         log_eta, deviations = stack([fine for fine, _ in known])
-        self._refuse_darkness(log_eta, 0)
+        self._refuse_darkness(log_eta)
         coarse = {
             (number, bench.run.radius_mm): table
             for number, (bench, (_, table)) in enumerate(zip(benches, known, strict=True))
@@ -484,18 +484,12 @@ class ResponseMaker:
         log_ratio = np.zeros(shape)
         deviations = np.zeros((BATCHES, *shape), dtype=np.float32)
         for node in plan.nodes:
-            plain, changed = tables[node.reference.number], tables[node.changed.number]
-            if readings[node.reading].of_beam:
-                # one of which no photon arrives, as behind ground faces, has fewer than one of them
-                dark = ~np.isfinite(changed.log_eta)
-                log_eta = np.where(dark, -math.log(node.changed.run.photons), changed.log_eta)
-                changed = EtaGrid(log_eta, np.where(dark, np.float32(0.0), changed.deviations))
+            plain, changed = (_lit(tables[of.number], of) for of in (node.reference, node.changed))
             better = known.get((node.reading, node.reference.request.radius_mm), plain)
             added = difference(changed, plain, better)
             log_ratio[(*node.place, node.reading)] = added.log_eta
             of_batches: Any = (slice(None), *node.place, node.reading)
             deviations[of_batches] = added.deviations
-        self._refuse_darkness(log_ratio, len(plan.axes), f" with {plan.name}")
         return EffectResponse(plan.axes, log_ratio, deviations)
 
     def benches_with(
@@ -648,15 +642,24 @@ class ResponseMaker:
 
         return table(self.grid), table(self._coarse)
 
-    def _refuse_darkness(self, log_eta: NDArray[np.float64], axis: int, beyond: str = "") -> None:
-        """Refuse tables without light; `axis` is that of the readings."""
+    def _refuse_darkness(self, log_eta: NDArray[np.float64]) -> None:
+        """Refuse tables, (readings, ...), without light."""
         dark = np.argwhere(~np.isfinite(log_eta))
         if not len(dark):
             return
         measurements = self.campaign.measurements
-        reading = measurements.readings[dark[0][axis]]
-        problem = f"no light is detected in the configuration of {reading.label}{beyond}"
+        reading = measurements.readings[dark[0][0]]
+        problem = f"no light is detected in the configuration of {reading.label}"
         raise measurements.refusal(reading, None, problem, "check its parameters")
+
+
+def _lit(table: EtaGrid, wanted: WantedTable) -> EtaGrid:
+    """A table; of light of which no photon arrives, as behind ground faces, of fewer than one."""
+    dark = ~np.isfinite(table.log_eta)
+    if not dark.any():
+        return table
+    log_eta = np.where(dark, -math.log(wanted.run.photons), table.log_eta)
+    return EtaGrid(log_eta, np.where(dark, np.float32(0.0), table.deviations))
 
 
 def _units(photons: float) -> int:

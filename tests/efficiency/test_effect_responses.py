@@ -310,6 +310,21 @@ def test_a_beam_that_an_effect_darkens_is_faint():
     assert 0.0 < signals[2] < 1e-2 and signals[0] > 5.0
 
 
+def test_a_fibre_that_an_effect_darkens_is_faint(tmp_path, scenes):
+    """None comes to its far end through rough faces: a diagnosis was refused for it, too."""
+    head = (
+        f'title = "x"\nunit = "pe"\nscene = "{scenes / "luag_fibre.xml"}"\nmeasurements = "f.csv"'
+    )
+    (tmp_path / "f.toml").write_text(f"{head}\n[parameters.alpha_scat_per_cm]\nstart = 0.02\n")
+    rows = ["label,signal,sigma,n_gap,detector", "one,3,0.1,1,left", "other,2,0.1,1,right"]
+    (tmp_path / "f.csv").write_text("\n".join(rows))
+    fibre = read_campaign(tmp_path / "f.toml")
+    effect = fibre.catalogue["surface_roughness"]
+    ratio = ResponseMaker(fibre, Run(LANES, seed=3, check=False)).make([effect])
+    rough = ratio.effects["surface_roughness"].log_ratio
+    assert np.isfinite(rough).all() and rough[-1].max() < -2.0
+
+
 def test_an_effect_that_a_switch_of_the_scene_is_acts(campaign):
     """The configuration's own value of the switch once won: the light stayed unpolarised."""
     effect = campaign.catalogue["polarization"]
