@@ -177,6 +177,15 @@ def test_both_paths_agree(cavity):
     assert_same_light(fast, slow, z_max=Z)
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_a_contact_that_hardly_ever_is_leaves_a_bare_strip_as_it_is(cavity, form):
+    """Light from inside that met the strip went on as if it had come from outside."""
+    size = {"rho": 0.9, "bare": 0.4, "alpha_scat_per_cm": 0.2}
+    with_contact, without = (cavity(form, c=c, **size).collect(100_000, seed=6) for c in (1e-6, 0))
+    assert without.budget["escaped"] > 0.1
+    assert_same_light(with_contact, without, z_max=Z)
+
+
 def test_polarised_light_is_mirrored_as_in_the_other_program(scenes):
     """At little scattering, which would depolarise; a metal turns one component round."""
     scene = read_scene(scenes / "camoo4_wrapped.xml")
