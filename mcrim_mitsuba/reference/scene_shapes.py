@@ -95,8 +95,11 @@ def faces_of(shape: Properties) -> list[Face]:
     read = _READERS.get(shape.node.type)
     if read is None:
         raise shape.refusal(f"shapes of type {shape.node.type}")
-    faces = read(shape, to_world(shape))
-    return [face.flipped for face in faces] if shape.flag("flip_normals") else faces
+    matrix = to_world(shape)
+    faces = read(shape, matrix)
+    # Mitsuba turns these round, or inside out, where a transform mirrors them
+    mirrored = shape.node.type in ("disk", "sphere") and np.linalg.det(matrix[:3, :3]) < 0.0
+    return [f.flipped for f in faces] if shape.flag("flip_normals") != mirrored else faces
 
 
 def _moved(matrix: Floats, points: Any) -> Floats:
