@@ -118,6 +118,7 @@ def read_scene_model(scene) -> SceneModel:
             if medium.id() not in [v.name for v in volumes]:
                 volumes.append(_volume(medium))
     names = [v.name for v in volumes]
+    endless = next((number for number, v in enumerate(volumes) if v.endless), OUTSIDE)
     if sum(v.endless for v in volumes) > 1:
         raise InputError("two media are endless", "light outside is in one liquid at most")
     surfaces, faces, curved, walls = [], [], [], []
@@ -128,6 +129,8 @@ def read_scene_model(scene) -> SceneModel:
             flat = _flat_faces(shape, number)
         except InputError as error:
             raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
+        if properties["kind"] != DIELECTRIC and {inner, outer} <= {OUTSIDE, endless}:
+            inner = outer = OUTSIDE  # it stands in the liquid, which is where outside is
         surfaces.append(Surface(shape.id(), inner, outer, **properties))
         wall = _wall(shape)
         if wall is not None:

@@ -376,7 +376,8 @@ class SceneModel:
             return dry[volume] / wet[volume]
         name = self.volumes[self.endless or OUTSIDE].name
         problem = f"the index of {name!r} is not known: no volume borders both it and air"
-        raise InputError(problem, "let faces of one volume have either in front of them")
+        mend = "let faces of one volume have either; where all is in it, ext_ior alone says so"
+        raise InputError(problem, mend)
 
     @property
     def faces(self) -> tuple[FlatFace, ...] | None:
