@@ -376,8 +376,7 @@ class SceneModel:
             return dry[volume] / wet[volume]
         name = self.volumes[self.endless or OUTSIDE].name
         problem = f"the index of {name!r} is not known: no volume borders both it and air"
-        mend = "let faces of one volume have either; where all is in it, ext_ior alone says so"
-        raise InputError(problem, mend)
+        raise InputError(problem, "let one volume border both, or write ext_ior without the medium")
 
     @property
     def faces(self) -> tuple[FlatFace, ...] | None:
