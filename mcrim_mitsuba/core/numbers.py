@@ -169,7 +169,7 @@ LARGEST = 1e60
 LARGEST_INDEX = 4.5
 #: Lengths of a bench outside this range (mm) are taken for another unit.
 SHORTEST_PART_MM = 0.1
-LONGEST_PART_MM = 500.0
+LONGEST_PART_MM = 2500.0
 #: The same for what is thin by nature.
 SHORTEST_GAP_MM = 1e-3
 LONGEST_GAP_MM = 10.0
