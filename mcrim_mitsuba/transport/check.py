@@ -330,7 +330,7 @@ def _scattering(volume: Volume) -> str:
         words.append(f"{100 * volume.scattering_gradient:+g} % of it at the top")
     if volume.scattering_exponent:
         words.append(
-            f"falling as wavelength^-{volume.scattering_exponent:g} over a band that is "
+            f"of its own light as wavelength^-{volume.scattering_exponent:g} over a band that is "
             f"{100 * volume.relative_bandwidth:.3g} % wide"
         )
     return f" ({', '.join(words)})" if words else ""
