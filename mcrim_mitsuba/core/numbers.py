@@ -169,7 +169,9 @@ LARGEST = 1e60
 LARGEST_INDEX = 4.5
 #: Lengths of a bench outside this range (mm) are taken for another unit.
 SHORTEST_PART_MM = 0.1
-LONGEST_PART_MM = 500.0
+LONGEST_PART_MM = 2500.0
+#: Ends of names of lengths and coefficients that are in none of a scene's units.
+_FOREIGN = re.compile(r"_(um|(?<!per_)cm|m|inch|per_mm)$")
 #: The same for what is thin by nature.
 SHORTEST_GAP_MM = 1e-3
 LONGEST_GAP_MM = 10.0
@@ -226,7 +228,7 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
         mend = f"give a number from {low:g} to {high:g}"
         return "value", f"it lies between {low:g} and {high:g}", mend
     # offsets and heights may be negative, and a source's depth may exceed the crystal
-    is_length = name.endswith("_mm") and not name.endswith("_z_mm") and "offset" not in name
+    is_length = re.search(r"(?<!_per)(?<!_z)_mm$", name) and "offset" not in name
     if is_length and (wrong := _judge_length(name, value)):
         return wrong
     if name.endswith("_per_cm"):
@@ -255,6 +257,8 @@ def doubts(parameters: Mapping[str, Value]) -> Iterator[tuple[str, str]]:
         thin = name.endswith("_mm") and ("gap" in name or "film" in name)
         usual = WIDEST_USUAL_GAP_MM if thin else math.inf
         usual = LARGEST_USUAL_PER_CM if name in COEFFICIENTS else usual
+        if _FOREIGN.search(name):
+            yield name, "is named in a unit that nobody reads: lengths count in mm, a bulk in 1/cm"
         if value > usual:
             yield name, f"is {value:g}, seldom more than {usual:g}: is it meant in {unit_of(name)}?"
         if name.endswith("_ph_per_keV") and not least <= value <= most:

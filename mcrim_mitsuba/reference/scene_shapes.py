@@ -95,8 +95,11 @@ def faces_of(shape: Properties) -> list[Face]:
     read = _READERS.get(shape.node.type)
     if read is None:
         raise shape.refusal(f"shapes of type {shape.node.type}")
-    faces = read(shape, to_world(shape))
-    return [face.flipped for face in faces] if shape.flag("flip_normals") else faces
+    matrix = to_world(shape)
+    # Mitsuba turns these round, or inside out, where a transform mirrors them
+    mirrored = shape.node.type in ("disk", "sphere") and np.linalg.det(matrix[:3, :3]) < 0.0
+    flips = shape.flag("flip_normals") != mirrored
+    return [face.flipped if flips else face for face in read(shape, matrix)]
 
 
 def _moved(matrix: Floats, points: Any) -> Floats:
@@ -274,12 +277,15 @@ class WrappedSolid:
 
     def touches(self, face: Face) -> bool:
         """Whether a face is one that it can touch: within it, not on its foot, nor left out."""
-        local = np.abs(face.box - self._matrix[:3, 3])[:, :2].max()
-        rounding, top = 1e-6 * max(self.width, self.height), self.foot + self.height
+        local = face.box - self._matrix[:3, 3]
+        rounding = 1e-6 * max(self.width, self.height)
         corner = self.width / 2.0 / math.cos(math.pi / self.sides) if self.sides else self.width / 2
-        within = local <= corner + rounding and face.box[0, 2] >= self.foot - rounding
-        ends = face.box[1, 2] <= self.foot + rounding or face.box[1, 2] > top + rounding
-        return bool(within and not ends and self._has(self._wall(face)))
+        angles = 2.0 * math.pi / max(self.sides, 1) * np.arange(self.sides)
+        x, y, _ = local.mean(axis=0) @ self._matrix[:3, :3]
+        before = x * np.cos(angles) + y * np.sin(angles) <= self.width / 2.0 + rounding
+        within = np.abs(local[:, :2]).max() <= corner + rounding and before.all()
+        stands = local[0, 2] >= -rounding and rounding < local[1, 2] <= self.height + rounding
+        return bool(within and stands and self._has(self._wall(face)))
 
     def _has(self, name: str) -> bool:
         return name not in self.without and (name == "top" or "sides" not in self.without)

@@ -538,9 +538,9 @@ class Strength:
 
 
 class Scattering:
-    """How the volumes of these numbers scatter, as numbers of the loop."""
+    """How the volumes of these numbers scatter light born in one, as numbers of the loop."""
 
-    def __init__(self, model: SceneModel, scattering) -> None:
+    def __init__(self, model: SceneModel, scattering, born_in: int) -> None:
         self._mean_cosine, self._rayleigh, self._graded = {}, [], {}
         self._coloured = {}
         for number in scattering:
@@ -549,7 +549,7 @@ class Scattering:
                 self._mean_cosine[number] = opaque([volume.scattering_g])
             if volume.phase == "rayleigh":
                 self._rayleigh.append(number)
-            if volume.scattering_exponent:
+            if volume.scattering_exponent and number == born_in:
                 width = [volume.relative_bandwidth / FWHM * math.sqrt(2.0)]
                 self._coloured[number] = (opaque([-volume.scattering_exponent]), opaque(width))
             if volume.scattering_gradient:

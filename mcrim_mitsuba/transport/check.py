@@ -329,10 +329,8 @@ def _scattering(volume: Volume) -> str:
     if volume.scattering_gradient:
         words.append(f"{100 * volume.scattering_gradient:+g} % of it at the top")
     if volume.scattering_exponent:
-        words.append(
-            f"falling as wavelength^-{volume.scattering_exponent:g} over a band that is "
-            f"{100 * volume.relative_bandwidth:.3g} % wide"
-        )
+        power, band = volume.scattering_exponent, 100 * volume.relative_bandwidth
+        words.append(f"of its own light as wavelength^-{power:g} over a band {band:.3g} % wide")
     return f" ({', '.join(words)})" if words else ""
 
 

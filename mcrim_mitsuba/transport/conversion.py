@@ -118,6 +118,7 @@ def read_scene_model(scene) -> SceneModel:
             if medium.id() not in [v.name for v in volumes]:
                 volumes.append(_volume(medium))
     names = [v.name for v in volumes]
+    endless = next((number for number, v in enumerate(volumes) if v.endless), OUTSIDE)
     if sum(v.endless for v in volumes) > 1:
         raise InputError("two media are endless", "light outside is in one liquid at most")
     surfaces, faces, curved, walls = [], [], [], []
@@ -128,6 +129,8 @@ def read_scene_model(scene) -> SceneModel:
             flat = _flat_faces(shape, number)
         except InputError as error:
             raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
+        if properties["kind"] != DIELECTRIC and {inner, outer} <= {OUTSIDE, endless}:
+            inner = outer = OUTSIDE  # it stands in the liquid, which is where outside is
         surfaces.append(Surface(shape.id(), inner, outer, **properties))
         wall = _wall(shape)
         if wall is not None:
@@ -399,15 +402,13 @@ def _circle(u: np.ndarray, v: np.ndarray, along: np.ndarray, centre: np.ndarray)
 
 def _disk_face(shape, number: int) -> list[FlatFace] | None:
     """A round face across an axis of Mitsuba's ``disk``; ``None`` of any other."""
-    half_u, half_v, _, centre = _matrix(shape)[:3].T
-    if shape.has_flipped_normals():
-        half_u, half_v = half_v, half_u
+    half_u, half_v, front, centre = _matrix(shape)[:3].T
     circle = _circle(half_u, half_v, cross(half_u, half_v), centre)
     if circle is None:
         return None
     # the square around it with its edges along axes, as light is tested soonest
     u, v = (np.eye(3)[i] * circle.radius_mm for i in circle.across)
-    if cross(u, v) @ cross(half_u, half_v) < 0.0:
+    if cross(u, v) @ front < 0.0:
         u, v = v, u
     face = _face(centre - u - v, 2.0 * u, 2.0 * v, False, number)
     return [replace(face, circle=circle)]
@@ -423,7 +424,8 @@ def _wall(shape) -> RoundWall | None:
     if circle is None:
         return None
     low, high = sorted((float(foot[circle.axis]), float((foot + along)[circle.axis])))
-    return RoundWall(circle, low, high, -1, outwards=not shape.has_flipped_normals())
+    mirrored = cross(u, v) @ along < 0.0
+    return RoundWall(circle, low, high, -1, outwards=shape.has_flipped_normals() == bool(mirrored))
 
 
 def _face(corner, edge_u, edge_v, triangle: bool, number: int) -> FlatFace:

@@ -441,7 +441,7 @@ class ConvexBody:
             ahead = way.into >= -self._slack * dr.abs(way.slowness)
             around, *others = (here[volume] for volume in self.solid.around)
             for other in others:
-                around |= other
+                around = around | other  # not |=, which would change `here` too
             met = around & ahead & (way.into <= way.out) & (way.into < best)
             met &= way.entering != NO_FACE
             best, which = dr.select(met, way.into, best), dr.select(met, way.entering, which)

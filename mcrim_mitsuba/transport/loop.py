@@ -192,7 +192,7 @@ class Loop:
                 coefficients[number] = mi.Float(coefficients[number])
                 dr.enable_grad(coefficients[number])
                 dr.set_grad(coefficients[number], slope)
-        self._scattering = Scattering(path.model, self._scat)
+        self._scattering = Scattering(path.model, self._scat, source)
 
     def start(self) -> Photon:
         """The first photon of every lane, at birth."""

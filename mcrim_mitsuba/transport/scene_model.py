@@ -376,7 +376,7 @@ class SceneModel:
             return dry[volume] / wet[volume]
         name = self.volumes[self.endless or OUTSIDE].name
         problem = f"the index of {name!r} is not known: no volume borders both it and air"
-        raise InputError(problem, "let faces of one volume have either in front of them")
+        raise InputError(problem, "let one volume border both, or write ext_ior without the medium")
 
     @property
     def faces(self) -> tuple[FlatFace, ...] | None:

@@ -277,7 +277,7 @@ def interact(
         # the rest of the choice is even again
         meets = leaving if row.painted is None else leaving | (row.painted > 0.5)
         if row.contact_above_mm is not None:
-            meets &= position.z > row.contact_above_mm
+            meets = meets & (position.z > row.contact_above_mm)  # &= would change `leaving`
         contact = row.contact
         if drawn is not None:
             total = dr.square(row.eta) * dr.fma(-cos_signed, cos_signed, 1.0) >= 1.0

@@ -201,6 +201,19 @@ def test_colours_scatter_by_their_wavelengths(bench):
     assert_compatible(drawn.eta, drawn.eta_sigma, numpy.eta, numpy.eta_sigma, z_max=Z)
 
 
+def test_only_light_that_is_born_in_a_volume_has_its_colours(scenes, tmp_path):
+    """As docs/parts.md says; a window's exponent changed what the crystal's light scattered."""
+    scattering = """<medium type="bulk" id="window"><float name="alpha_scat_per_cm" value="5"/>
+      <float name="scattering_exponent" value="{}"/></medium>"""
+    text, path = (scenes / "camoo4.xml").read_text(encoding="utf-8"), tmp_path / "window.xml"
+    etas = []
+    for power in (0, 4):
+        window = scattering.format(power)
+        path.write_text(text.replace('<medium type="bulk" id="window"/>', window))
+        etas.append(Simulation(path).collect(20_000, seed=1).eta)
+    assert etas[0] == etas[1]
+
+
 def test_coloured_light_answers_for_other_coefficients(bench):
     """As a graded crystal does; and the mean over colours is that of their weights."""
     records = record(bench("colours", GEL), seed=4)

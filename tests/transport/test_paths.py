@@ -272,3 +272,21 @@ def test_an_instance_is_refused(tmp_path):
     path.write_text(BALL.replace("</scene>", group + "</scene>"))
     with pytest.raises(InputError, match="copy: the transport does not follow instances"):
         Simulation(path, check=False)
+
+
+def test_a_detector_in_an_endless_liquid_may_name_it(tmp_path):
+    """Light in the liquid passed through one that did: eta was a third of what it is."""
+    oil = '<medium type="bulk" id="oil"><boolean name="endless" value="true"/></medium>'
+    wet = """<bsdf type="dielectric"><float name="int_ior" value="$n"/>
+      <float name="ext_ior" value="1.4"/></bsdf><ref name="interior" id="crystal"/>"""
+    names_it = '<ref name="exterior" id="oil"/></shape>'
+    results = []
+    for end in ("</shape>", names_it):
+        low, side = f"{wet}{names_it}", f'<shape type="cylinder" id="side">{SKIN}</shape>'
+        top = f"""<shape type="disk" id="top"><transform name="to_world"><translate z="1"/>
+          </transform>{SKIN}</shape><shape type="disk" id="low"><transform name="to_world">
+          <rotate x="1" angle="180"/></transform>{low}{BELOW.replace("</shape>", end)}"""
+        path = tmp_path / "oil.xml"
+        path.write_text(HEAD + oil + side + top)
+        results.append(Simulation(path).collect(10_000, seed=9))
+    assert results[0].eta == results[1].eta > 0.1

@@ -9,6 +9,7 @@ import pytest
 from comparisons import (
     assert_all_light_is_told,
     assert_compatible,
+    assert_same_eta,
     assert_same_fates,
     assert_same_light,
 )
@@ -170,3 +171,24 @@ def test_what_is_no_prism_is_refused(scenes, tmp_path, old, new, words):
     path.write_text((scenes / "camoo4_hexagonal.xml").read_text().replace(old, new))
     with pytest.raises(InputError, match=words):
         Simulation(path)
+
+
+@pytest.mark.parametrize("mirror", ["", '<scale z="-1"/>', '<scale x="-1"/>'])
+def test_flipped_and_mirrored_disks_and_cylinders_look_where_mitsubas_do(tmp_path, mirror):
+    """Lids that were to look down were black; a mirrored crystal was refused as open."""
+    card = """<shape type="{}" id="{}"><boolean name="flip_normals" value="true"/>
+      <transform name="to_world"><scale x="3.1" y="3.1" z="8"/><translate z="{}"/></transform>
+      <bsdf type="diffuse"><spectrum name="reflectance" value="0.9"/></bsdf></shape>"""
+    cards = card.format("disk", "lid", 4.1) + card.format("cylinder", "sleeve", -4) + "</scene>"
+    text = ROD.format(low='x="0" y="0" z="-4"', high='x="0" y="0" z="4"', turn="")
+    text = text.replace('id="mirror"/><ref name="int', 'id="polish"/><ref name="int', 1)
+    text = text.replace('name="specular" value="1"', 'name="specular" value="0"')
+    path = tmp_path / "cards.xml"
+    path.write_text(
+        text.replace("</scene>", cards).replace("</transform>", f"{mirror}</transform>")
+    )
+    simulation = Simulation(path)
+    fast, slow = (simulation.collect(100_000, seed=8, general=general) for general in (0, 1))
+    assert fast.transport == IN_REGISTERS and fast.budget["absorbed_reflector"] < 0.2
+    for other in (slow, trace(path, 50_000, 8)):
+        assert_same_eta(fast, other, z_max=Z)

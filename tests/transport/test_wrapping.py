@@ -13,6 +13,7 @@ from refusals import refusal
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.reference.crosscheck import crosscheck
+from mcrim_mitsuba.reference.scene_bench import read_bench
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -175,6 +176,15 @@ def test_both_paths_agree(cavity):
     fast, slow = (simulation.collect(200_000, seed=4 + g, general=bool(g)) for g in (0, 1))
     assert fast.transport != slow.transport and fast.budget["absorbed_reflector"] > 0.2
     assert_same_light(fast, slow, z_max=Z)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_contact_that_hardly_ever_is_leaves_a_bare_strip_as_it_is(cavity, form):
+    """Light from inside that met the strip went on as if it had come from outside."""
+    size = {"rho": 0.9, "bare": 0.4, "alpha_scat_per_cm": 0.2}
+    with_contact, without = (cavity(form, c=c, **size).collect(100_000, seed=6) for c in (1e-6, 0))
+    assert without.budget["escaped"] > 0.1
+    assert_same_light(with_contact, without, z_max=Z)
 
 
 def test_polarised_light_is_mirrored_as_in_the_other_program(scenes):
@@ -360,3 +370,15 @@ def test_a_black_rim_takes_what_the_whole_chip_would_detect(scenes):
     lost = rimmed.budget["absorbed_reflector"] - whole.budget["absorbed_reflector"]
     sigma = np.hypot(whole.eta_sigma, rimmed.eta_sigma)
     assert_compatible(rimmed.eta + lost, sigma, whole.eta, 0.0, z_max=Z)
+
+
+def test_paint_does_not_reach_a_neighbour_in_the_other_program(tmp_path):
+    """A face 1 mm beside the painted crystal was painted: `crosscheck` blamed Mitsuba."""
+    beside = """<medium type="bulk" id="other"/><shape type="cube" id="beside">
+      <transform name="to_world"><scale value="5"/><translate x="11" z="5"/></transform>
+      <ref id="polish"/><ref name="interior" id="other"/></shape></scene>"""
+    path = tmp_path / "two.xml"
+    path.write_text(_cavity("box").replace("</scene>", beside))
+    surfaces = {s.name: s for s in read_bench(read_scene(path, {"film": 0})).surfaces}
+    assert [face.wrapping for face in surfaces["side_0"].faces] == ["wrapping"]
+    assert not any(face.wrapping for face in surfaces["beside"].faces)
