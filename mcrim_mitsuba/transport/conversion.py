@@ -131,6 +131,9 @@ def read_scene_model(scene) -> SceneModel:
             raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
         if properties["kind"] != DIELECTRIC and {inner, outer} <= {OUTSIDE, endless}:
             inner = outer = OUTSIDE  # it stands in the liquid, which is where outside is
+        elif inner != outer and {inner, outer} == {OUTSIDE, endless}:
+            problem = f"{shape.id()} is a surface of {names[endless]!r}, which is endless"
+            raise InputError(problem, "close that liquid with faces, and let it not be endless")
         surfaces.append(Surface(shape.id(), inner, outer, **properties))
         wall = _wall(shape)
         if wall is not None:

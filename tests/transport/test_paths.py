@@ -14,6 +14,7 @@ import pytest
 from bench_scene import bench_scene
 from comparisons import assert_compatible, assert_same_fates, assert_same_light
 from lxml import etree
+from refusals import refusal
 from scipy.integrate import dblquad, quad
 from scipy.spatial import ConvexHull
 
@@ -274,8 +275,8 @@ def test_an_instance_is_refused(tmp_path):
         Simulation(path, check=False)
 
 
-def test_a_detector_in_an_endless_liquid_may_name_it(tmp_path):
-    """Light in the liquid passed through one that did: eta was a third of what it is."""
+def test_an_endless_liquid_may_have_a_detector_in_it_and_no_surface(tmp_path):
+    """Light in the liquid passed through either: eta was a third of what it is, and 0."""
     oil = '<medium type="bulk" id="oil"><boolean name="endless" value="true"/></medium>'
     wet = """<bsdf type="dielectric"><float name="int_ior" value="$n"/>
       <float name="ext_ior" value="1.4"/></bsdf><ref name="interior" id="crystal"/>"""
@@ -290,3 +291,7 @@ def test_a_detector_in_an_endless_liquid_may_name_it(tmp_path):
         path.write_text(HEAD + oil + side + top)
         results.append(Simulation(path).collect(10_000, seed=9))
     assert results[0].eta == results[1].eta > 0.1
+    surface = """<shape type="rectangle" id="above"><transform name="to_world"><scale value="20"/>
+      <translate z="5"/></transform><ref id="polish"/><ref name="interior" id="oil"/></shape>"""
+    path.write_text(path.read_text().replace("</scene>", f"{surface}</scene>"))
+    assert "above is a surface of 'oil', which is endless; close" in refusal(Simulation, path)
