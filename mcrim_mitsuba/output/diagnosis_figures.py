@@ -432,5 +432,5 @@ def _stairs(
     for place, top, text, step in zip(places, tops, texts, steps, strict=True):
         end = (place, top if math.isfinite(top) else axes.get_ylim()[0])
         above = 9 if isinstance(step, FinalStep) else 7
-        axes.annotate(text, end, (0, above), zorder=5, bbox=style.paper(0.75, 0.8), **look)
+        axes.annotate(text, end, (0, above), zorder=3.5, bbox=style.paper(0.75, 0.8), **look)
     axes.margins(y=0.28)
