@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
+import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,14 @@ def refuse_foreign(file: Path, is_ours: Callable[[str], bool]) -> None:
 def status_of(found: EtaTable | Provenance) -> str:
     """Whether anything had to be simulated."""
     return KEPT if found.cached_photons == found.photons else MADE
+
+
+def counted(benches: int, what: str = "") -> Iterator[int]:
+    """Numbers of so many benches, told on a screen where somebody looks at it when each is done."""
+    for number in range(benches):
+        yield number
+        if sys.stderr.isatty():
+            print(f"\r{what}{number + 1} of {benches} benches", end="", file=sys.stderr)
 
 
 def one_after_another(

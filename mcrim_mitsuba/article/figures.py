@@ -258,5 +258,5 @@ def _scattering_axis(axes: Axes) -> None:
     axes.set_xlim(p.SCANNED_FROM.value * 0.95, p.SCANNED_TO.value * 1.05)
     axes.xaxis.set_major_locator(FixedLocator(_TICKS))
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.set_xlabel(r"scattering coefficient $α_\mathrm{scat}$ (1/cm)")

@@ -138,12 +138,13 @@ def coverage_of(
         absorption = LEAST_ABSORPTION_PER_CM, absorption[1]
     drawn = tuple(factor * alpha for alpha in proposals.alpha_scat_per_cm)
     proposals = ScatteringProposals(drawn, proposals.units, absorption[0])
-    if any(beyond[:2]):
+    scatters = beyond.low or beyond.high
+    if scatters:
         # as far as the campaign lets it: each further proposal takes photons from all others
         allowed = max(parameter.maximum for parameter in _of_samples_too(campaign, ALPHA_SCAT))
         least = min(least, _WIDE_RANGE_PER_CM[0]) if beyond.low else least
         most = max(most, min(allowed, _WIDE_RANGE_PER_CM[1])) if beyond.high else most
-    if any(beyond[:2]) or most > most_per_cm:
+    if scatters or most > most_per_cm:
         most = min(most, most_per_cm)
         proposals = choose_proposals(least, most, absorption[0])
     ranges = (least, most), absorption

@@ -270,22 +270,26 @@ class CampaignSimulations:
         They do where chi2 has not risen by `ONE_SIGMA` up to there, or it is near, and the campaign
         allows more: of readings that are far from described, chi2 is steep and rough.
         """
-        statistic, beyond = minimum.statistic, list(self._beyond)
-        sides = {ALPHA_SCAT: (0, 1), ALPHA_ABS: (2,)}  # places in it
+        statistic, beyond = minimum.statistic, self._beyond._asdict()
         for place, bounds in enumerate(statistic.free):
-            for side in sides.get(self.campaign.stands_for(bounds.name), ()):
-                allowed = self.campaign.parameters[bounds.name]
-                least = LEAST_ABSORPTION_PER_CM if side == 2 else 0.0
-                goes_on = bounds.minimum > max(allowed.minimum, least)
-                if side == 1:
-                    goes_on = bounds.maximum < min(allowed.maximum, self._most_per_cm)
-                start = minimum.theta.copy()
-                start[place] = end = bounds.maximum if side == 1 else bounds.minimum
+            coefficient = self.campaign.stands_for(bounds.name)
+            if coefficient not in (ALPHA_SCAT, ALPHA_ABS):
+                continue
+            allowed = self.campaign.parameters[bounds.name]
+            low, high = bounds.minimum, bounds.maximum
+            # by the name in `Beyond`: where the end is, and whether the campaign allows more
+            ends = {"clear": (low, low > max(allowed.minimum, LEAST_ABSORPTION_PER_CM))}
+            if coefficient == ALPHA_SCAT:
+                most = min(allowed.maximum, self._most_per_cm)
+                ends = {"low": (low, low > allowed.minimum), "high": (high, high < most)}
+            for side, (end, goes_on) in ends.items():
                 if goes_on:
+                    start = minimum.theta.copy()
+                    start[place] = end
                     near = abs(math.log(minimum.theta[place] / end)) < math.log(EXTENT.near_end)
                     chi2 = newton(statistic, start, minimum.weights, held=[place]).height
                     beyond[side] |= near or chi2 < minimum.chi2 + ONE_SIGMA
-        return Beyond(*beyond)
+        return Beyond(**beyond)
 
     def fit(self) -> Calibration:
         """The campaign's own fit, the one that every verb shows; errors as `fit_model`."""

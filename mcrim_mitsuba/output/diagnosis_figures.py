@@ -403,7 +403,7 @@ def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
     _stairs(axes, steps, heights, texts)
     if highest > _STEEP:
         axes.set_ylim(0.2, 4 * highest)
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.yaxis.set_major_formatter("{x:g}")
     else:
         axes.set_ylim(0, 1.3 * axes.dataLim.y1)  # with room for a text above the highest
     axes.set_title("χ² per degree of freedom (band: 1 ± √(2/ndf))", loc="left", fontsize=11)

@@ -588,13 +588,14 @@ def add(
     """
     from mcrim_mitsuba.effects.catalogue import add as text_with_effect
     from mcrim_mitsuba.effects.trust import execute_allowed
+    from mcrim_mitsuba.inference.repair import text_for_folder
 
     file = read_scene(scene)
     execute_allowed(effects_folder, trusted=trust_effects)
-    text = text_with_effect(effect, file, values, effects_folder)
+    new = file.edited(text_with_effect(effect, file, values, effects_folder))
     if output is None:
-        return file.edited(text)
-    write_text(output, text)
+        return new
+    write_text(output, text_for_folder(new, Path(output).parent))
     return read_scene(output)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from shared import SCENE
+from shared import SCENE, counted
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
@@ -182,11 +182,8 @@ def main(ways, benches, photons, seed, json_file) -> int:
     screen = terminal.console(json_file)
     found, agree = {}, True
     for way in ways or WAYS:
-        comparisons = []
-        for number in range(benches):
-            comparisons.append(compare(way, number, seed, photons))
-            if sys.stderr.isatty():
-                print(f"\r{way}: {number + 1} of {benches} benches", end="", file=sys.stderr)
+        numbers = counted(benches, f"{way}: ")
+        comparisons = [compare(way, number, seed, photons) for number in numbers]
         verdict = judge(comparisons)
         agree &= verdict.agrees
         screen.line(

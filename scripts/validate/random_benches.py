@@ -20,7 +20,7 @@ import click
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from shared import SCENES
+from shared import SCENES, counted
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
@@ -129,13 +129,11 @@ def compare(number: int, seed: int, photons: int) -> RandomBench:
 def main(benches, photons, seed, json_file) -> int:
     """Compare Mitsuba with the independent tracer on random benches with random effects."""
     screen, rows = terminal.console(json_file), []
-    for number in range(benches):
+    for number in counted(benches):
         rows.append(compare(number, seed, photons))
         row = rows[-1]
         if row.p_value is not None and row.p_value * benches < FALSE_ALARM:
             screen.line(f"bench {number}, {row.scene} {row.changed} {row.effects}: {row.words}")
-        if sys.stderr.isatty():
-            print(f"\r{number + 1} of {benches} benches", end="", file=sys.stderr)
     p_values = [row.p_value for row in rows if row.p_value is not None]
     p_value = min(1.0, len(p_values) * min(p_values, default=1.0))
     agrees = p_value >= FALSE_ALARM

@@ -11,6 +11,7 @@ from places import cases_of
 from refusals import refusal
 from scipy.integrate import trapezoid
 
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.inference.repair import mended_scene, scene_text, text_for_folder
 from mcrim_mitsuba.optics.dispersion import Dispersion, NumberedFormula
@@ -398,6 +399,8 @@ def test_a_scene_whose_parts_stay_behind_is_not_written_elsewhere(bench, scenes,
     assert "luag_fibre.xml" in text_for_folder(bar, scenes)
     line = refusal(text_for_folder, bar, tmp_path)
     assert "names luag_fibre.xml, which is not found from another folder; write the new" in line
+    line = refusal(mcrim.add, "polarization", bar, tmp_path / "new.xml")
+    assert "names luag_fibre.xml, which" in line and not (tmp_path / "new.xml").exists()
     alone = read_scene(bench())
     assert text_for_folder(alone, tmp_path / "new") == scene_text(alone)
 
