@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mcrim_mitsuba import __version__
-from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import read_text, refuse_outputs, write_text
@@ -342,11 +342,13 @@ def report(
     Raises InputError as `inference.repair.repair` does, or if the file cannot be written.
     """
     refuse_output(output, [campaign] if isinstance(campaign, (str, Path)) else [])
+    campaign = as_campaign(campaign)
+    # before all work: whatever cannot be added is refused
+    chosen = campaign.with_effects(effects or ()).effects[len(campaign.effects) :]
     repaired = repair(campaign, run=run)
-    if effects is not None and set(effects) != set(repaired.effects):
+    if effects is not None and set(chosen) != set(repaired.effects):
         # the same campaign mended with other effects
         simulations, diagnosis = repaired.simulations, repaired.diagnosis
-        chosen = tuple(effects)
         candidate = diagnosis.candidate(chosen)
         # from where the diagnosis found them, if it tried them
         starts = {n: size.value for n, size in candidate.parameters.items()} if candidate else None

@@ -25,7 +25,7 @@ from mcrim_mitsuba.campaign.entries import LONGEST_REMARK, TO_QUOTE
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.rounding import pdg_parts
 from mcrim_mitsuba.inference.repair import remarks_on
-from mcrim_mitsuba.output import photograph, report_sections
+from mcrim_mitsuba.output import photograph, public, report_sections
 from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output.describe_campaign import others_table
 from mcrim_mitsuba.output.report import in_full, said, visible
@@ -333,6 +333,16 @@ def test_the_bench_to_build_is_drawn_without_what_is_suspected(made, by_hand, mo
     assert "bubble_fraction" in dict(p[:2] for p in sections.bench.parameters)
     (to_build,) = drawn
     assert "bubble_fraction" not in to_build.parameters
+
+
+@pytest.mark.parametrize("name", ["gap_buble", "1e5", "gel_creep + gap_bubble"])
+def test_effects_that_are_none_are_refused_before_all_work(name, tmp_path, monkeypatch):
+    """It was a KeyError, after the whole diagnosis."""
+    monkeypatch.setattr(reporting, "repair", None)
+    page = tmp_path / "report.html"
+    campaign = SCENES / "camoo4_misfit.toml"
+    assert name in refusal(public.report, campaign, page, effects=[SECOND, name])
+    assert not page.exists()
 
 
 def test_pictures_are_drawn_once(made, parsed, by_hand, monkeypatch):
