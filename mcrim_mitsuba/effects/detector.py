@@ -13,7 +13,7 @@ from mcrim_mitsuba.effects.effect import (
     Parameters,
     Values,
     one_parameter,
-    weight_of_reflections,
+    reflections,
 )
 from mcrim_mitsuba.effects.scene_edits import WAVELENGTH, set_detector, wavelength_of
 from mcrim_mitsuba.scene.editor import SceneEditor
@@ -82,11 +82,8 @@ PHOTOCATHODE_FILM = Effect(
 )
 
 
-_SIMULATED_AT = 0.5
 #: Photons that the detector sends back some times and detects then.
-REFLECTED = partial(
-    weight_of_reflections, column="detector_hits", simulated_at=_SIMULATED_AT, then_absorbed=True
-)
+_SENT_BACK = partial(reflections, column="detector_hits", simulated_at=0.5, then_absorbed=True)
 
 
 def sends_back_no_more(scene: SceneFile, others: tuple[str, ...]) -> bool:
@@ -120,10 +117,8 @@ DETECTOR_REFLECTION = Effect(
     ),
     excludes=("photocathode_film",),
     edit=partial(set_detector, name="reflectance", value="$detector_reflectance", sends_back=True),
-    columns=("detector_hits",),
-    weight=partial(REFLECTED, name="detector_reflectance"),
     weighs_in=partial(sends_back_no_more, others=("specular", "cathode_nm")),
-    proposal={"detector_reflectance": _SIMULATED_AT},
+    **_SENT_BACK("detector_reflectance"),
 )
 
 
@@ -153,10 +148,8 @@ DETECTOR_SPECULAR = Effect(
     ),
     excludes=("photocathode_film",),
     edit=partial(set_detector, name="specular", value="$detector_specular", sends_back=True),
-    columns=("detector_hits",),
-    weight=partial(REFLECTED, name="detector_specular"),
     weighs_in=partial(sends_back_no_more, others=("reflectance", "cathode_nm")),
-    proposal={"detector_specular": _SIMULATED_AT},
+    **_SENT_BACK("detector_specular"),
 )
 
 

@@ -421,7 +421,7 @@ def weight_of_reflections(
     column: str,
     name: str,
     simulated_at: float,
-    then_absorbed: bool = False,
+    then_absorbed: bool,
 ) -> np.ndarray:
     """(rho / simulated rho)^m of m reflections off something, counted in a column of the records.
 
@@ -431,6 +431,15 @@ def weight_of_reflections(
     reflectance = values[name]
     ratio = (reflectance / simulated_at) ** columns[column].astype(np.float64)
     return (1.0 - reflectance) / (1.0 - simulated_at) * ratio if then_absorbed else ratio
+
+
+def reflections(
+    name: str, column: str, simulated_at: float, *, then_absorbed: bool = False
+) -> dict[str, Any]:
+    """Fields of an effect that reflects a part `name` of light, as of `weight_of_reflections`."""
+    further: dict[str, Any] = {"simulated_at": simulated_at, "then_absorbed": then_absorbed}
+    weight = functools.partial(weight_of_reflections, name=name, column=column, **further)
+    return {"columns": (column,), "weight": weight, "proposal": {name: simulated_at}}
 
 
 def function_of(act: Callable[..., Any]) -> Callable[..., Any]:

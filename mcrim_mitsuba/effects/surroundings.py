@@ -13,14 +13,12 @@ from mcrim_mitsuba.effects.effect import (
     Parameters,
     Values,
     one_parameter,
-    weight_of_reflections,
+    reflections,
 )
 from mcrim_mitsuba.effects.scene_edits import HEIGHT, crystal_box, element, set_masks, set_part
 from mcrim_mitsuba.scene.editor import INTERFACES, Node, SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE
-
-_REFLECTOR_SIMULATED_AT = 0.99
 
 
 def edit_top_reflector(editor: SceneEditor) -> None:
@@ -81,15 +79,8 @@ TOP_REFLECTOR = Effect(
         nodes=(0.2, 0.4, 0.6, 0.75, 0.9, 0.99),
     ),
     edit=edit_top_reflector,
-    columns=("reflector_hits",),
-    weight=partial(
-        weight_of_reflections,
-        column="reflector_hits",
-        name="top_reflectance",
-        simulated_at=_REFLECTOR_SIMULATED_AT,
-    ),
     weighs_in=alone_in,
-    proposal={"top_reflectance": _REFLECTOR_SIMULATED_AT},
+    **reflections("top_reflectance", "reflector_hits", simulated_at=0.99),
 )
 
 
@@ -340,9 +331,6 @@ MASK_OFFSET = Effect(
 )
 
 
-_MASK_SIMULATED_AT = 0.2
-
-
 HOUSING_REFLECTION = Effect(
     name="housing_reflection",
     title="mask that is not black",
@@ -371,14 +359,7 @@ HOUSING_REFLECTION = Effect(
         name="reflectance",
         xml='<float name="reflectance" value="$housing_reflectance"/>',
     ),
-    columns=("mask_hits",),
-    weight=partial(
-        weight_of_reflections,
-        column="mask_hits",
-        name="housing_reflectance",
-        simulated_at=_MASK_SIMULATED_AT,
-    ),
-    proposal={"housing_reflectance": _MASK_SIMULATED_AT},
+    **reflections("housing_reflectance", "mask_hits", simulated_at=0.2),
 )
 
 
