@@ -110,11 +110,6 @@ def of_parameter(parameter: CampaignParameter) -> PriorDensity:
     return even(parameter.minimum, parameter.maximum)
 
 
-def around(value: float) -> PriorDensity:
-    """Of a scale of which nothing is known, the same for all models of a campaign."""
-    return even(value / EVIDENCE.scale_factor, value * EVIDENCE.scale_factor)
-
-
 @dataclass(frozen=True)
 class Evidence:
     """A model's evidence, and what the readings say of it, averaged over its parameters."""

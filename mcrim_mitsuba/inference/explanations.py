@@ -17,14 +17,13 @@ from mcrim_mitsuba.inference.drivers import Minimum, best_of, local_minima, newt
 from mcrim_mitsuba.inference.evidence import (
     Evidence,
     PriorDensity,
-    around,
     even,
     evidence_of,
     of_parameter,
     size,
 )
 from mcrim_mitsuba.inference.model import Model
-from mcrim_mitsuba.inference.settings import EXPLAINING, HYPOTHESES, RISE_95
+from mcrim_mitsuba.inference.settings import EVIDENCE, EXPLAINING, HYPOTHESES, RISE_95
 from mcrim_mitsuba.inference.statistic import Statistic, inverse
 
 #: Gives the model of the campaign with these effects, besides its own.
@@ -202,7 +201,9 @@ class Explanations:
                     absent = effect.origin(self.scene) + effect.absent
                     densities[known.name] = size(absent, usual, low, high)
             elif known.name in self.scales and known.prior is None:
-                densities[known.name] = around(self.scales[known.name])
+                # of which nothing is known, the same for all models of a campaign
+                scale, factor = self.scales[known.name], EVIDENCE.scale_factor
+                densities[known.name] = even(scale / factor, scale * factor)
             else:
                 densities[known.name] = of_parameter(known)
         return densities
