@@ -38,12 +38,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     refuse_shared_coefficients,
     tells_detectors,
 )
-from mcrim_mitsuba.efficiency.proposals import (
-    USUAL_ALPHA_SCAT_PER_CM,
-    WITHIN,
-    Beyond,
-    coverage_of,
-)
+from mcrim_mitsuba.efficiency.proposals import USUAL_ALPHA_SCAT_PER_CM, WITHIN, Beyond, coverage_of
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
 from mcrim_mitsuba.efficiency.schedule import Identity, PlannedRun, Schedule, WantedTable
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes

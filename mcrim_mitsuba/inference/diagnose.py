@@ -57,11 +57,7 @@ from mcrim_mitsuba.inference.simulations import (
     as_numbers,
     not_adding_up,
 )
-from mcrim_mitsuba.inference.weighing import (
-    INSTRUMENT,
-    AveragedYield,
-    weigh_hypotheses,
-)
+from mcrim_mitsuba.inference.weighing import INSTRUMENT, AveragedYield, weigh_hypotheses
 from mcrim_mitsuba.runs.executors import more_units_follow
 
 #: What is told of a diagnosis (`core.run.JobProgress`): its parts, and their usual times, %.

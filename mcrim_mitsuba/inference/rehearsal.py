@@ -28,13 +28,7 @@ from mcrim_mitsuba.inference.closed_form import (
     weigh_singles,
 )
 from mcrim_mitsuba.inference.displacement import BaselineFrame, Curve
-from mcrim_mitsuba.inference.settings import (
-    ACCEPTABLE_P,
-    DISCREPANCY,
-    JUDGING,
-    REHEARSALS,
-    RIVALS,
-)
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, DISCREPANCY, JUDGING, REHEARSALS, RIVALS
 
 #: Where the intervals that hold 95 % and 68 % end, and the median: parts below.
 QUANTILES = (0.025, 0.159, 0.5, 0.841, 0.975)

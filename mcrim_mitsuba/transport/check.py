@@ -19,13 +19,7 @@ from mcrim_mitsuba.core.run import signals_wait
 from mcrim_mitsuba.scene import check_text
 from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.transport.scene_model import (
-    DETECTOR,
-    FlatFace,
-    SceneModel,
-    Surface,
-    Volume,
-)
+from mcrim_mitsuba.transport.scene_model import DETECTOR, FlatFace, SceneModel, Surface, Volume
 from mcrim_mitsuba.transport.volume_consistency import (
     claimed_indices,
     probe,
