@@ -265,6 +265,7 @@ def test_what_is_no_argument_is_refused_in_a_line():
         (functools.partial(mcrim.simulate, progress=3), [BENCH], "progress is 3; give a function"),
         (mcrim.read_scene, [BENCH, 5], "give a dictionary"),
         (functools.partial(mcrim.diagnose, only=[3]), [campaign], "only is [3]; give a name"),
+        (functools.partial(mcrim.diagnose, only=np.array(3)), [campaign], "give a name, or a list"),
         (functools.partial(mcrim.plan, n_gap=[]), [campaign, 0.1], "there is no value of n_gap"),
         (mcrim.calibrate, [], "mcrim.calibrate: missing a required argument: 'campaign'"),
         (mcrim.simulate, [BENCH, 1e6], "mcrim.simulate: too many positional arguments"),
