@@ -64,6 +64,8 @@ def repair(
     Raises InputError as for `diagnose`, or if the files cannot be written.
     """
     simulations = CampaignSimulations(as_campaign(campaign), run)
+    if output is not None:  # before all work: its scene may lack parts in that folder
+        text_for_folder(simulations.campaign.scene, Path(output).parent)
     diagnosis = diagnose(simulations, adding=effect)
     steps = diagnosis.repair
     for step in steps:

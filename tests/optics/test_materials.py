@@ -394,13 +394,18 @@ def test_a_scene_written_elsewhere_finds_its_spectrum(bench, tmp_path, spectrum_
     assert text_for_folder(scene, tmp_path) == scene_text(scene)
 
 
-def test_a_scene_whose_parts_stay_behind_is_not_written_elsewhere(bench, scenes, tmp_path):
+def test_a_scene_whose_parts_stay_behind_is_not_written_elsewhere(
+    bench, scenes, tmp_path, monkeypatch
+):
     bar = read_scene(scenes / "plastic_bar.xml")
     assert "luag_fibre.xml" in text_for_folder(bar, scenes)
     line = refusal(text_for_folder, bar, tmp_path)
     assert "names luag_fibre.xml, which is not found from another folder; write the new" in line
     line = refusal(mcrim.add, "polarization", bar, tmp_path / "new.xml")
     assert "names luag_fibre.xml, which" in line and not (tmp_path / "new.xml").exists()
+    monkeypatch.setattr("mcrim_mitsuba.inference.repair.diagnose", None)  # before all work
+    line = refusal(mcrim.repair, scenes / "plastic_bar.toml", tmp_path / "new.toml")
+    assert "names luag_fibre.xml, which" in line
     alone = read_scene(bench())
     assert text_for_folder(alone, tmp_path / "new") == scene_text(alone)
 
