@@ -1,10 +1,10 @@
 """Where light is born, where and at which angle it arrives, and which fate the rest meets.
 
-`follow_light` bins detected photons on the detector. `map_eta` bins them by their place of birth:
-births in the cells of a grid over the crystal are even enough that detected light over births is
-eta of a cell. A gamma's light comes from where it stops: what eta varies by over these places
-widens its peak by as much, whatever the detector counts (2.355 times the relative rms, in
-quadrature to the other parts of the full width at half maximum).
+`follow_light` bins detected photons on the detector. `map_eta` bins them, and all that are born, by
+their place of birth: the ratio is eta of a cell of a grid over the crystal. A gamma's light comes
+from where it stops: what eta varies by over these places widens its peak by as much, whatever the
+detector counts (2.355 times the relative rms, in quadrature to the other parts of the full width at
+half maximum).
 """
 
 from __future__ import annotations
@@ -326,7 +326,7 @@ def map_eta(simulation: Simulation, cells: Sequence[int] = CELLS, *, run: Run = 
 
     Raises InputError if the scene leaks, light is born outside the crystal, or photons are too few.
     """
-    from mcrim_mitsuba.transport import arrivals
+    from mcrim_mitsuba.transport import arrivals, launch_plan
 
     edges = _grid(simulation, cells)
     number = math.prod(len(along) - 1 for along in edges)
@@ -335,19 +335,21 @@ def map_eta(simulation: Simulation, cells: Sequence[int] = CELLS, *, run: Run = 
         problem = f"{photons:,} photons are {photons / number:.3g} in each of {number:,} cells"
         raise InputError(problem, f"follow {_FEWEST_PER_CELL * number:,} at least")
     inside = simulation.crystal.part_inside(edges)
-    bins = Bins(*edges)
+    born, light = np.zeros((2, launch_plan.BATCHES, *inside.shape))
     for launch, tally, place in arrivals.births(simulation, photons, seed=run.seed):
-        bins.add(launch, *place.T)
+        for batch, births in launch.births():
+            np.add.at(born, (batch, *map(bin_of, births, edges)), 1.0)
+        seen = (launch.records["batch"], *map(bin_of, place.T, edges))
+        np.add.at(light, seen, launch.records["w"])
         run.tell("mapping births", min(tally.photons, photons), photons)
-    light = bins.binned(inside, tally)
-    born = inside * simulation.crystal.birth_density(edges)
-    # births are even enough over cells that a detected photon says where light was born, too
-    with np.errstate(invalid="ignore"):
-        share = np.where(inside > 0.0, born / born.sum(), np.nan)
+    # counted: in cells a lattice has more or less births than on average, in a pattern over all
+    number_born = np.where(inside > 0.0, np.maximum(born.sum(axis=0), 1.0), np.nan)
+    eta = light.sum(axis=0) / number_born
+    sigma = np.sqrt(np.square(light - eta * born).sum(axis=0)) / number_born
     return EtaMap(
         edges_mm=edges,
-        eta=light.light / share,
-        eta_sigma=light.sigma / share,
+        eta=eta,
+        eta_sigma=np.where(sigma == 0.0, 1.0 / number_born, sigma),
         volume=inside / inside.sum(),
         photons=tally.photons,
         seed=run.seed,

@@ -9,7 +9,7 @@ the coefficients of scattering and absorption (1/mm), u and v numbers even in [0
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,6 +101,7 @@ class Launch:
     #: ndarray of float64, shape (batches,), or None: Derivative of the detected weight along the
     #: tangent that was asked for.
     detected_slope: np.ndarray | None
+    births: Callable[[], Iterator[tuple[np.ndarray, np.ndarray]]]  #: `Loop.births`
 
 
 def launch(path, emitter: CrystalVolume, plan: LanePlan, **options) -> Launch:
@@ -418,6 +419,13 @@ class Loop:
         slot = dr.minimum(self._first_slot + serial, self._last_slot)
         return dr.gather(mi.Point3f, self._births, slot)
 
+    def births(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Batches, (n,), and birthplaces, (3, n), mm, of the lanes' photons number 0, 1, ..."""
+        for serial in range(int(self.plan.photons.max())):
+            born = self.plan.photons > serial
+            place = np.array(self._birthplace(opaque([serial], mi.UInt32)))
+            yield self.plan.batch[born], place[:, born]
+
     def gathered(self, final: Photon) -> Launch:
         """What the loop found, when it has run."""
         slope: Any = None
@@ -450,6 +458,7 @@ class Loop:
             weights,
             {} if self.store is None else self.store.collected(self.plan),
             None if slope is None else per_batch(slope),
+            self.births,
         )
 
 
