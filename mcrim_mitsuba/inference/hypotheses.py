@@ -204,11 +204,11 @@ def side_by_side(
         n for n in order if -2.0 * named[n].log_evidence <= EXPLAINING.leading + 2.0 * noise[n]
     )
     verdict, reason = _verdict([named[name] for name in leading], results[best])
-    readings = fits[best].statistic.model.readings
-    predicted = np.ptp([fit.signal for fit in fits.values()], axis=0)
+    # as they are shown: each with its bench's numbers off as the readings have them
+    predicted = np.ptp([[row.model for row in fit.rows] for fit in results.values()], axis=0)
     apart = {
-        reading.label: float(far / reading.sigma)
-        for reading, far in zip(readings, predicted, strict=True)
+        row.label: float(far / row.sigma)
+        for row, far in zip(results[best].rows, predicted, strict=True)
     }
     return SideBySide(verdict, reason, leading, hypotheses, apart)
 

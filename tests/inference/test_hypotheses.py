@@ -156,11 +156,11 @@ def test_rows_too_many_and_too_few_and_other_scales_are_refused(mcrim, files):
 def test_side_by_side_from_files(mcrim, files):
     """An effect of the readings, and one in a scene of its own: few photons, one file each."""
 
-    def exact(text):
-        return f"{text}\n[tolerances]\nnone = true\n"  # most of the time is not for numbers
+    def one_number(text):  # most of the time is not for numbers
+        return f"{text}\n[tolerances]\nnone = true\nwindow_thickness_mm = 0.05\n"
 
-    one = files("a", of_campaign=exact)
-    other = files("b", '"background", "gap_bubble"', of_campaign=exact)
+    one = files("a", of_campaign=one_number)
+    other = files("b", '"background", "gap_bubble"', of_campaign=one_number)
     words = ["compare", one, other, "--photons", "2e4"]
     out = mcrim.shown(*words, "--json", "r.json", "--figure", "f.png")
     told = json.loads(Path("r.json").read_text())
@@ -172,6 +172,10 @@ def test_side_by_side_from_files(mcrim, files):
     assert a["chi2"] > 26 > b["chi2"] and b["ndf"] == a["ndf"] - 2
     assert a["probability"] + b["probability"] == pytest.approx(1.0) and b["log_evidence"] == 0.0
     assert "They differ most at gel hole 4: " in out and "Next: mcrim " in out
+    # what is called apart are the predictions that stand beside each other
+    for mine, theirs in zip(a["rows"], b["rows"], strict=True):
+        far = abs(mine["model"] - theirs["model"]) / mine["sigma"]
+        assert told["apart"][mine["label"]] == pytest.approx(far)
     assert Path("f.png").read_bytes().startswith(b"\x89PNG")
     assert Path("f.csv").read_text().startswith("label,use,measured,sigma,apart,model_A,")
     read = read_results(["r.json"])
