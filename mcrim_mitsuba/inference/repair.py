@@ -13,6 +13,7 @@ from mcrim_mitsuba.campaign.editor import campaign_with_effects
 from mcrim_mitsuba.campaign.entries import LONGEST_REMARK, TO_QUOTE
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, refuse_to_replace, write_text
+from mcrim_mitsuba.core.rounding import probability
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep, diagnose
@@ -161,7 +162,7 @@ def remarks_on(diagnosis: Diagnosis, effects: Sequence[str]) -> dict[str, str]:
         words.append(f"the first of {len(diagnosis.leading_sets)} explanations that lead")
     chance = diagnosis.probabilities.get(" + ".join(effects))
     if chance is not None:
-        words.append(f"probability {100.0 * chance:.0f} %")
+        words.append(f"probability {probability(chance)}")
     names = " and ".join(diagnosis.titles.get(name, name) for name in effects)
     sentence = f"{names} {'were' if len(effects) > 1 else 'was'} added by repair"
     sentence += f" ({', '.join(words)})" if words else ""

@@ -189,6 +189,8 @@ def test_a_mended_campaign_keeps_its_remark_and_the_yield_to_quote():
     words = first["remark"]
     assert words.startswith("kept in the dark; absorbing crystal surface was added by repair (the ")
     assert first[TO_QUOTE] == str(explained.light_yield_averaged)
+    surer = replace(of(own), probabilities={FIRST: 0.9952})
+    assert ", probability 99.5 %): what" in remarks_on(surer, (FIRST,))["remark"]
     # the averaged yield of the mended file takes for granted what was added
     once = replace(own, **first)
     assert once.remarks[0] == words and first[TO_QUOTE] in once.remarks[1]
