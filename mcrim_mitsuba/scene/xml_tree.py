@@ -333,7 +333,7 @@ PLUGIN_TYPES = {
     kind: names.split()
     for kind, names in {
         "bsdf": "aperture photodetector polish conductor dielectric diffuse mask null plastic "
-        "roughconductor thindielectric twosided",
+        "roughconductor roughdielectric thindielectric twosided",
         "emitter": "scintillation collimated_beam",
         "integrator": "light_collection",
         "medium": "bulk homogeneous heterogeneous",
