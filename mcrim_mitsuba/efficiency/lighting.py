@@ -9,6 +9,7 @@ half maximum).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -336,11 +337,16 @@ def map_eta(simulation: Simulation, cells: Sequence[int] = CELLS, *, run: Run = 
         raise InputError(problem, f"follow {_FEWEST_PER_CELL * number:,} at least")
     inside = simulation.crystal.part_inside(edges)
     born, light = np.zeros((2, launch_plan.BATCHES, *inside.shape))
+
+    def cell_of(batch: Array, places: Array) -> NDArray[np.int64]:
+        at = batch.astype(np.int64), *map(bin_of, places, edges)
+        return np.ravel_multi_index(at, born.shape)
+
     for launch, tally, place in arrivals.births(simulation, photons, seed=run.seed):
-        for batch, births in launch.births():
-            np.add.at(born, (batch, *map(bin_of, births, edges)), 1.0)
-        seen = (launch.records["batch"], *map(bin_of, place.T, edges))
-        np.add.at(light, seen, launch.records["w"])
+        births = np.concatenate(list(itertools.starmap(cell_of, launch.births())))
+        born += np.bincount(births, minlength=born.size).reshape(born.shape)
+        seen, weights = cell_of(launch.records["batch"], place.T), launch.records["w"]
+        light += np.bincount(seen, weights, born.size).reshape(born.shape)
         run.tell("mapping births", min(tally.photons, photons), photons)
     # counted: in cells a lattice has more or less births than on average, in a pattern over all
     number_born = np.where(inside > 0.0, np.maximum(born.sum(axis=0), 1.0), np.nan)
