@@ -208,7 +208,7 @@ class FateTally:
 # What a simulation hands the fit: the histories of the detected photons.
 
 _KINDS = {
-    "k": np.uint16,
+    "k": np.uint32,
     "path_cm": np.float32,
     "w": np.float32,
     "batch": np.uint8,
@@ -221,8 +221,8 @@ _KINDS = {
 class PhotonRecords:
     """Histories of a configuration's detected photons; ValueError for what no simulation gives."""
 
-    #: (detected,) uint16: Scatterings in the crystal.
-    k: NDArray[np.uint16]
+    #: (detected,) uint32: Scatterings in the crystal.
+    k: NDArray[np.uint32]
     #: (detected,) float32: Path in the crystal.
     path_cm: NDArray[np.float32]
     #: (detected,) float32: Weight at detection at the proposals' absorption: an unbiased estimate

@@ -79,7 +79,7 @@ def _reflections(step: Step, mine):
 #: Of all records: the weight at the proposal's absorption, scatterings in the crystal, path in it.
 _OF_ALL = {
     "w": Recorded(np.float32, arrival=lambda step, birth: step.w),
-    "k": Recorded(np.uint16, _scattered),
+    "k": Recorded(np.uint32, _scattered),
     "path_cm": Recorded(
         np.float32, lambda step, mine: dr.select(mine, step.distance, 0.0), kept=_cm
     ),
