@@ -9,7 +9,6 @@ half maximum).
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -338,17 +337,15 @@ def map_eta(simulation: Simulation, cells: Sequence[int] = CELLS, *, run: Run = 
     inside = simulation.crystal.part_inside(edges)
     born, light = np.zeros((2, launch_plan.BATCHES, *inside.shape))
 
-    def cell_of(batch: Array, places: Array) -> NDArray[np.int64]:
+    def in_cells(batch: Array, places: Array, weights: Array | None = None) -> Array:
         at = batch.astype(np.int64), *map(bin_of, places, edges)
-        return np.ravel_multi_index(at, born.shape)
+        cells = np.ravel_multi_index(at, born.shape)
+        return np.bincount(cells, weights, born.size).reshape(born.shape)
 
     for launch, tally, place in arrivals.births(simulation, photons, seed=run.seed):
-        births = np.concatenate(list(itertools.starmap(cell_of, launch.births())))
-        born += np.bincount(births, minlength=born.size).reshape(born.shape)
-        seen, weights = cell_of(launch.records["batch"], place.T), launch.records["w"]
-        light += np.bincount(seen, weights, born.size).reshape(born.shape)
+        born += in_cells(*launch.births())
+        light += in_cells(launch.records["batch"], place.T, launch.records["w"])
         run.tell("mapping births", min(tally.photons, photons), photons)
-    # counted: in cells a lattice has more or less births than on average, in a pattern over all
     number_born = np.where(inside > 0.0, np.maximum(born.sum(axis=0), 1.0), np.nan)
     eta = light.sum(axis=0) / number_born
     sigma = np.sqrt(np.square(light - eta * born).sum(axis=0)) / number_born

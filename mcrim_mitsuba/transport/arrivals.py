@@ -174,19 +174,29 @@ def arrivals(
 def births(
     simulation: Simulation, photons: int, *, seed: int = 0
 ) -> Iterator[tuple[Launch, FateTally, np.ndarray]]:
-    """As `arrivals`, with where the detected ones were born: float64, shape (detected, 3), mm."""
+    """As `arrivals`, with where the detected ones were born: float64, shape (detected, 3), mm.
+
+    Births are random: those of a lattice are off by a pattern, which all cells of a map share.
+    """
     crystal = simulation.crystal
     corner = np.array([*crystal.lower[:2], crystal.upper[2]])
-    for launch, tally in launches(simulation, photons, seed, BIRTH_PLACE):
+    launched = launches(simulation, photons, seed, BIRTH_PLACE, random_births=True)
+    for launch, tally in launched:
         yield launch, tally, corner + _place(launch, BIRTH_PLACE) * (1.0, 1.0, -1.0)
 
 
 def launches(
-    simulation: Simulation, photons: int, seed: int, columns: Sequence[str]
+    simulation: Simulation,
+    photons: int,
+    seed: int,
+    columns: Sequence[str],
+    random_births: bool = False,
 ) -> Iterator[tuple[Launch, FateTally]]:
     """Launches of so many photons with these columns of records, and the tally of all so far."""
-    launcher, options = simulation.launcher(), {"max_depth": simulation.depth_limit}
-    for launch in launcher.launches(photons, seed=seed, columns=columns, **options):
+    launcher, depth = simulation.launcher(), simulation.depth_limit
+    for launch in launcher.launches(
+        photons, seed=seed, max_depth=depth, columns=columns, random_births=random_births
+    ):
         yield launch, launcher.tally
 
 

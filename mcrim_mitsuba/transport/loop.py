@@ -9,7 +9,7 @@ the coefficients of scattering and absorption (1/mm), u and v numbers even in [0
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,7 +101,7 @@ class Launch:
     #: ndarray of float64, shape (batches,), or None: Derivative of the detected weight along the
     #: tangent that was asked for.
     detected_slope: np.ndarray | None
-    births: Callable[[], Iterator[tuple[np.ndarray, np.ndarray]]]  #: `Loop.births`
+    births: Callable[[], tuple[np.ndarray, np.ndarray]]  #: `Loop.births`
 
 
 def launch(path, emitter: CrystalVolume, plan: LanePlan, **options) -> Launch:
@@ -124,7 +124,7 @@ class Loop:
     After `max_depth` free flights a photon is truncated. Coefficients of the crystal may be
     `proposals` in place of the scene's, shared out by the plan. With `columns` the histories
     of the photons that eta counts are returned, these besides scatterings, path, weight and batch
-    (see `RecordStore`); what is not asked for costs nothing.
+    (see `RecordStore`); what is not asked for costs nothing. `random_births` lie on no lattice.
 
     With a `tangent` the detected weight is also differentiated, by Dr.Jit's forward mode, along
     this change of volumes' scattering and absorption, 1/mm per unit of whatever varies: photons'
@@ -151,6 +151,7 @@ class Loop:
         columns: Sequence[str] | None = None,
         tangent: Mapping[int, Sequence[float]] | None = None,
         trails: TrailStore | None = None,
+        random_births: bool = False,
     ) -> None:
         lanes, photons = plan.lanes, int(plan.photons.sum())
         self.path, self.emitter, self.plan = path, emitter, plan
@@ -163,7 +164,7 @@ class Loop:
         self._depth_limit = opaque([max_depth], mi.UInt32)
         self._aim = None if emitter.aim is None else opaque_vector(emitter.aim)
         self._births = None
-        if not emitter.direct:
+        if random_births or not emitter.direct:
             rng = lane_generators(photons, seed, number, 1)
             self._births = emitter.sample(rng, photons)
             dr.eval(self._births)
@@ -419,12 +420,9 @@ class Loop:
         slot = dr.minimum(self._first_slot + serial, self._last_slot)
         return dr.gather(mi.Point3f, self._births, slot)
 
-    def births(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Batches, (n,), and birthplaces, (3, n), mm, of the lanes' photons number 0, 1, ..."""
-        for serial in range(int(self.plan.photons.max())):
-            born = self.plan.photons > serial
-            place = np.array(self._birthplace(opaque([serial], mi.UInt32)))
-            yield self.plan.batch[born], place[:, born]
+    def births(self) -> tuple[np.ndarray, np.ndarray]:
+        """Batches, (n,), and birthplaces, (3, n), mm, of all photons that are not on a lattice."""
+        return np.repeat(self.plan.batch, self.plan.photons), np.array(self._births)
 
     def gathered(self, final: Photon) -> Launch:
         """What the loop found, when it has run."""
