@@ -251,9 +251,9 @@ class EtaMap(OverAxes):
         # noise makes the cells differ too: by its variance, less what the mean follows
         away = eta - mean
         square = float(part @ away**2 - part @ variance + of_mean)
-        of_square = float(
-            4.0 * (part * away) ** 2 @ variance + 2.0 * (part * variance) @ (part * variance)
-        )
+        # what differs of itself would take 4 times it and 2 of noise; noise is in `away`, too
+        of_noise = 2.0 * float((part * variance) @ (part * variance))
+        of_square = max(4.0 * float((part * away) ** 2 @ variance) - of_noise, of_noise)
         rms = math.sqrt(max(square, 0.0))
         # of a root near zero the error is that of the square, not its linear part
         sigma = math.sqrt(of_square) / max(2.0 * rms, of_square**0.25)
