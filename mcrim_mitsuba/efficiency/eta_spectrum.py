@@ -117,8 +117,11 @@ def eta_over(
     weights, fewer = _between(plan.nodes_nm, plan.asked_nm)
     batches = np.einsum("wn,nbw->bw", weights, answer)
     eta = batches.mean(axis=0)
-    # what the polynomial says without the farthest node, over what it says
+    # what it says without the farthest node, and of parameters: edges between nodes are missed
     off = np.einsum("wn,nbw->w", fewer - weights, answer) / len(batches) / eta
+    curves = [v for name, v in light.parameters.items() if name not in COEFFICIENTS]
+    for v in (curve / np.abs(curve).max(initial=1e-30) for curve in curves):
+        off = np.append(off, weights[:-1] @ np.interp(plan.nodes_nm, light.wavelength_nm, v) - v)
     return EtaSpectrum(
         light=light,
         eta=eta[:-1],

@@ -278,3 +278,20 @@ def test_a_campaign_averages_over_its_light(tenfold, here):
     (here / "flat.toml").write_text(text)
     with pytest.raises(InputError, match=r"line 3.*neither alpha_scat_per_cm nor"):
         mcrim_mitsuba.calibrate(here / "flat.toml")
+
+
+def test_an_edge_between_the_simulated_wavelengths_is_told(tmp_path):
+    """A tape that reflects half from 450 to 480 nm, and 420, 440, 488 and 520 nm are simulated.
+
+    Eta there was told as 0.389 for 0.321, and as right to 0.02 %. A smooth column stays right.
+    """
+    bench, file = SCENES / "lyso_teflon.xml", tmp_path / "light.csv"
+    at = np.arange(420.0, 521.0, 5.0)
+    smooth = 0.90 + 0.0004 * (at - 420.0)
+    for reflects in (smooth, np.where((at < 450.0) | (at > 480.0), 0.98, 0.5)):
+        rows = (f"{nm},1,{value}" for nm, value in zip(at, reflects, strict=True))
+        header = "wavelength_nm,emission (photons/nm),wrap_reflectance"
+        file.write_text("\n".join([header, *rows]))
+        found = mcrim_mitsuba.eta_spectrum(bench, file, photons=65_536, seed=1)
+        assert (found.interpolation_error < 0.02) == (reflects is smooth)
+    assert found.interpolation_error > 0.2
