@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypedDict, TypeVar, Unpack, ov
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.files import write_text
+from mcrim_mitsuba.core.files import refuse_to_replace, write_text
 from mcrim_mitsuba.core.numbers import number_of, whole_of
-from mcrim_mitsuba.core.run import MOST_PHOTONS, Progress, Run
+from mcrim_mitsuba.core.run import LARGEST_PRECISION, MOST_PHOTONS, Progress, Run
 from mcrim_mitsuba.output.registry import fields_of
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
@@ -580,7 +580,7 @@ def add(
     scene : str, Path or SceneFile
         It stays as it is.
     output : str or Path, optional
-        File to write the new scene to (``.xml``).
+        File to write the new scene to (``.xml``); one that holds something else is refused.
     effects_folder : str or Path, optional
         Of effects of your own: Python, which is executed.
     trust_effects : bool
@@ -597,7 +597,9 @@ def add(
     new = file.edited(text_with_effect(effect, file, values, effects_folder))
     if output is None:
         return new
-    write_text(output, text_for_folder(new, Path(output).parent))
+    text = text_for_folder(new, Path(output).parent)
+    refuse_to_replace({Path(output): text})
+    write_text(output, text)
     return read_scene(output)
 
 
@@ -927,6 +929,8 @@ def plan(
         raise InputError(f"there is no value of {name}", "give one at least")
     run = _run_of(run, **fields)
     wanted = _above_0("wanted", wanted, "relative error")
+    if wanted > LARGEST_PRECISION:
+        raise InputError(f"wanted = {wanted:g} is no relative error", "give 0.09 for 9 %")
     planning = plan_of(campaign, wanted, conditions=conditions, anew=anew, run=run, **choices)
     return PlanResult(**fields_of(planning), title=campaign.title, seed=run.seed)
 

@@ -194,6 +194,17 @@ def test_the_old_name_of_an_effect_is_taken():
             mcrim.diagnose(campaign, only=only, without=without)
 
 
+def test_add_replaces_no_file(tmp_path):
+    """It wrote over the scene that it was given, where that stood for the new file."""
+    scene = tmp_path / "own.xml"
+    scene.write_bytes((SCENES / "camoo4.xml").read_bytes())
+    with pytest.raises(mcrim.InputError, match=r"own\.xml: this file exists already"):
+        mcrim.add("gap_bubble", scene, scene)
+    assert scene.read_bytes() == (SCENES / "camoo4.xml").read_bytes()
+    for _ in range(2):  # the very same may be there
+        mcrim.add("gap_bubble", scene, tmp_path / "new.xml")
+
+
 def test_results_are_sent_between_processes():
     code = (
         "import functools, multiprocessing, mcrim_mitsuba as mcrim\n"
@@ -295,6 +306,6 @@ def test_other_numbers_of_any_kind_are_taken_or_refused():
     for given in ({"mountings": [2.5]}, {"events": [None]}, {"n_gap": [[1.0]]}, {"mounting": 4}):
         with pytest.raises(mcrim.InputError):
             plan(0.1, **given)
-    for wanted in (None, "much", math.nan, [0.1], 0):
+    for wanted in (None, "much", math.nan, [0.1], 0, 9):
         with pytest.raises(mcrim.InputError, match="wanted"):
             plan(wanted)
