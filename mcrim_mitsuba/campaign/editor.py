@@ -334,6 +334,9 @@ def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) ->
         problem = "there is nothing to reduce: the campaign names no raw data"
         raise InputError(problem, "it can be calibrated as it is", path=campaign.path)
     if output is not None:
+        for path in (Path(output), readings_beside(Path(output))):
+            if path.resolve() in map(Path.resolve, campaign.files):
+                raise InputError("the campaign reads it", "name another file", path=path)
         write_plain(campaign, Path(output))
     return campaign
 

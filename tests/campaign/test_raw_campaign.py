@@ -17,7 +17,7 @@ from trials.surface_model import CampaignModel
 
 from mcrim_mitsuba.app.exchange import campaign_archive, with_readings
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.campaign.editor import campaign_with_effects, write_plain
+from mcrim_mitsuba.campaign.editor import campaign_with_effects, reduce, write_plain
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.inference.budget import yield_corrections
 from mcrim_mitsuba.inference.fit import fit_model
@@ -136,6 +136,15 @@ def test_the_plain_campaign_gives_the_same_fit(example, tmp_path, mcrim):
     assert "exists already" in mcrim.refused("reduce", example.path, "-o", plain)
     assert "start = 0.6" in plain.read_text()
     assert "nothing to reduce" in mcrim.refused("reduce", plain)
+
+
+@pytest.mark.parametrize("name", ["campaign.toml", "mountings.toml"])
+def test_reduced_numbers_replace_nothing_that_they_come_from(name, folder):
+    """From Python the campaign itself was written over, or its mountings by the readings."""
+    path = folder / "campaign.toml"
+    before = {file: file.read_bytes() for file in path.parent.iterdir()}
+    assert "the campaign reads it; name another file" in refusal(reduce, path, path.with_name(name))
+    assert {file: file.read_bytes() for file in path.parent.iterdir()} == before
 
 
 def test_a_campaign_that_goes_on_elsewhere_finds_its_raw_data(folder, tmp_path):
