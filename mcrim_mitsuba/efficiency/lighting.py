@@ -336,15 +336,11 @@ def map_eta(simulation: Simulation, cells: Sequence[int] = CELLS, *, run: Run = 
         raise InputError(problem, f"follow {_FEWEST_PER_CELL * number:,} at least")
     inside = simulation.crystal.part_inside(edges)
     born, light = np.zeros((2, launch_plan.BATCHES, *inside.shape))
-
-    def in_cells(batch: Array, places: Array, weights: Array | None = None) -> Array:
-        at = batch.astype(np.int64), *map(bin_of, places, edges)
-        cells = np.ravel_multi_index(at, born.shape)
-        return np.bincount(cells, weights, born.size).reshape(born.shape)
-
     for launch, tally, place in arrivals.births(simulation, photons, seed=run.seed):
-        born += in_cells(*launch.births())
-        light += in_cells(launch.records["batch"], place.T, launch.records["w"])
+        born += launch.births(edges)
+        at = launch.records["batch"].astype(np.int64), *map(bin_of, place.T, edges)
+        seen = np.ravel_multi_index(at, born.shape)
+        light += np.bincount(seen, launch.records["w"], born.size).reshape(born.shape)
         run.tell("mapping births", min(tally.photons, photons), photons)
     number_born = np.where(inside > 0.0, np.maximum(born.sum(axis=0), 1.0), np.nan)
     eta = light.sum(axis=0) / number_born

@@ -180,23 +180,16 @@ def births(
     """
     crystal = simulation.crystal
     corner = np.array([*crystal.lower[:2], crystal.upper[2]])
-    launched = launches(simulation, photons, seed, BIRTH_PLACE, random_births=True)
-    for launch, tally in launched:
+    for launch, tally in launches(simulation, photons, seed, BIRTH_PLACE, random_births=True):
         yield launch, tally, corner + _place(launch, BIRTH_PLACE) * (1.0, 1.0, -1.0)
 
 
 def launches(
-    simulation: Simulation,
-    photons: int,
-    seed: int,
-    columns: Sequence[str],
-    random_births: bool = False,
+    simulation: Simulation, photons: int, seed: int, columns: Sequence[str], **options: bool
 ) -> Iterator[tuple[Launch, FateTally]]:
-    """Launches of so many photons with these columns of records, and the tally of all so far."""
-    launcher, depth = simulation.launcher(), simulation.depth_limit
-    for launch in launcher.launches(
-        photons, seed=seed, max_depth=depth, columns=columns, random_births=random_births
-    ):
+    """Launches with these columns of records, and options of a `Loop`; the tally of all so far."""
+    launcher, most = simulation.launcher(), simulation.depth_limit
+    for launch in launcher.launches(photons, seed=seed, columns=columns, max_depth=most, **options):
         yield launch, launcher.tally
 
 

@@ -296,6 +296,12 @@ class CrystalVolume:
         away[self.circle.axis] = self._length * c
         return mi.Point3f(self._corner) + away
 
+    def hashed_birth(self, slot, seed: Sequence[int]):
+        """A random birth (Point3f, mm) in these, by a number (UInt32), see `seed_words`."""
+        words = (opaque([word], mi.UInt32) for word in seed_words(3, *seed))
+        shares = (mi.sample_tea_float32(slot, word, HASH_ROUNDS) for word in words)
+        return mi.Point3f(self.from_uniforms(*shares))
+
     def _share(self, uniform, from_high: bool):
         """Where a birth lies along the volume, from 0 to 1, from a uniform."""
         return 1.0 - self._depth(1.0 - uniform) if from_high else self._depth(uniform)

@@ -9,6 +9,7 @@ the coefficients of scattering and absorption (1/mm), u and v numbers even in [0
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,7 +24,7 @@ from mcrim_mitsuba.transport.bulk import CrystalVolume, Scattering, lane_generat
 from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
 from mcrim_mitsuba.transport.convex import NO_FACE
 from mcrim_mitsuba.transport.dielectric import resumed, unpolarised_field
-from mcrim_mitsuba.transport.launch_plan import LanePlan, ScatteringProposals, detected_by
+from mcrim_mitsuba.transport.launch_plan import BATCHES, LanePlan, ScatteringProposals, detected_by
 from mcrim_mitsuba.transport.record_store import RecordStore, TrailStore
 from mcrim_mitsuba.transport.scene_model import DIFFUSE, OUTSIDE
 
@@ -101,7 +102,7 @@ class Launch:
     #: ndarray of float64, shape (batches,), or None: Derivative of the detected weight along the
     #: tangent that was asked for.
     detected_slope: np.ndarray | None
-    births: Callable[[], tuple[np.ndarray, np.ndarray]]  #: `Loop.births`
+    births: Callable[[Sequence[np.ndarray]], np.ndarray]  #: `Loop.births`
 
 
 def launch(path, emitter: CrystalVolume, plan: LanePlan, **options) -> Launch:
@@ -163,12 +164,14 @@ class Loop:
         self._lane = dr.arange(mi.UInt32, lanes)
         self._depth_limit = opaque([max_depth], mi.UInt32)
         self._aim = None if emitter.aim is None else opaque_vector(emitter.aim)
-        self._births = None
-        if random_births or not emitter.direct:
-            rng = lane_generators(photons, seed, number, 1)
-            self._births = emitter.sample(rng, photons)
-            dr.eval(self._births)
-            self._last_slot = opaque([photons - 1], mi.UInt32)
+        self._place_of: Any = None  # by the photon's number, where births lie on no lattice
+        if random_births and emitter.direct:
+            self._place_of = functools.partial(emitter.hashed_birth, seed=(seed, number, 1))
+        elif not emitter.direct:
+            born = emitter.sample(lane_generators(photons, seed, number, 1), photons)
+            dr.eval(born)
+            last_slot = opaque([photons - 1], mi.UInt32)
+            self._place_of = lambda slot: dr.gather(mi.Point3f, born, dr.minimum(slot, last_slot))
         self._frequent = _frequent_fates(path)
         detectors = len(path.model.detectors)
         self._detectors = range(detectors if detectors > 1 else 0)
@@ -412,17 +415,22 @@ class Loop:
 
     def _birthplace(self, serial):
         """Where the lanes' photons number `serial` (UInt32) are born (Point3f, mm)."""
-        if self._births is None:
-            point = self._lattice.mirrored(serial)
-            return self.emitter.from_uniforms(
-                *(self._lattice.coordinate(point, j) for j in range(3))
-            )
-        slot = dr.minimum(self._first_slot + serial, self._last_slot)
-        return dr.gather(mi.Point3f, self._births, slot)
+        if self._place_of is not None:
+            return self._place_of(self._first_slot + serial)
+        point = self._lattice.mirrored(serial)
+        return self.emitter.from_uniforms(*(self._lattice.coordinate(point, j) for j in range(3)))
 
-    def births(self) -> tuple[np.ndarray, np.ndarray]:
-        """Batches, (n,), and birthplaces, (3, n), mm, of all photons that are not on a lattice."""
-        return np.repeat(self.plan.batch, self.plan.photons), np.array(self._births)
+    def births(self, edges: Sequence[np.ndarray]) -> np.ndarray:
+        """(batches, x, y, z) random births in cells whose evenly rising edges are given, mm."""
+        shape = BATCHES, *(len(along) - 1 for along in edges)
+        cell = mi.UInt32(np.repeat(self.plan.batch, self.plan.photons))
+        places = self._place_of(dr.arange(mi.UInt32, len(cell)))
+        for place, along, number in zip(places, edges, shape[1:], strict=True):
+            low, per_mm = opaque([along[0]]), opaque([1.0 / (along[1] - along[0])])
+            cell = cell * number + mi.UInt32(dr.clip((place - low) * per_mm, 0, number - 1))
+        counts = dr.zeros(mi.UInt32, int(np.prod(shape)))
+        dr.scatter_reduce(dr.ReduceOp.Add, counts, mi.UInt32(1), cell)
+        return np.array(counts).reshape(shape)
 
     def gathered(self, final: Photon) -> Launch:
         """What the loop found, when it has run."""
