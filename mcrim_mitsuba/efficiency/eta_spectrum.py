@@ -117,11 +117,12 @@ def eta_over(
     weights, fewer = _between(plan.nodes_nm, plan.asked_nm)
     batches = np.einsum("wn,nbw->bw", weights, answer)
     eta = batches.mean(axis=0)
-    # what it says without the farthest node, and of parameters: edges between nodes are missed
+    # what the polynomial misses: by what it says without the farthest node, and, as an edge of a
+    # column between nodes moves none of them, by what it makes of the columns
     off = np.einsum("wn,nbw->w", fewer - weights, answer) / len(batches) / eta
-    curves = [v for name, v in light.parameters.items() if name not in COEFFICIENTS]
-    for v in (curve / np.abs(curve).max(initial=1e-30) for curve in curves):
-        off = np.append(off, weights[:-1] @ np.interp(plan.nodes_nm, light.wavelength_nm, v) - v)
+    for column in (c for name, c in light.parameters.items() if name not in COEFFICIENTS):
+        missed = weights[:-1] @ np.interp(plan.nodes_nm, light.wavelength_nm, column) - column
+        off = np.append(off, missed / np.abs(column).max(initial=1e-30))
     return EtaSpectrum(
         light=light,
         eta=eta[:-1],

@@ -104,10 +104,9 @@ InputError
 
 
 def _is_texts(value: object) -> bool:
-    several = [value] if isinstance(value, str) else value
-    if not isinstance(several, Collection) or getattr(several, "ndim", 1) != 1:
-        return False
-    return all(isinstance(text, str) for text in several)
+    several: Any = [value] if isinstance(value, str) else value
+    is_list = isinstance(several, Collection) and getattr(several, "ndim", 1) == 1
+    return is_list and all(isinstance(text, str) for text in several)
 
 
 #: What annotations ask for, and in words; numbers are looked at where they are used.
