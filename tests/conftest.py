@@ -131,9 +131,7 @@ LONGEST = (
     "test_wheel test_calibrate test_session test_effect_responses test_kernel_effects "
     "test_validate test_work test_records test_render test_eta_spectrum test_plugins "
     "test_rival_causes test_tracer_effects test_types test_commands test_closure "
-    "test_cross_section test_cluster_scripts test_trials test_article test_wrapping test_paths "
-    "test_crosscheck_effects test_crosscheck test_calibrated test_diagnosis test_fit "
-    "test_transport test_next_measurements test_treatments test_check"
+    "test_cross_section test_cluster_scripts test_trials test_article test_wrapping"
 ).split()
 
 
