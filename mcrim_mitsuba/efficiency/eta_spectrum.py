@@ -117,8 +117,7 @@ def eta_over(
     weights, fewer = _between(plan.nodes_nm, plan.asked_nm)
     batches = np.einsum("wn,nbw->bw", weights, answer)
     eta = batches.mean(axis=0)
-    # what the polynomial misses: by what it says without the farthest node, and, as an edge of a
-    # column between nodes moves none of them, by what it makes of the columns
+    # what the polynomial misses: without its farthest node, and of columns with edges between nodes
     off = np.einsum("wn,nbw->w", fewer - weights, answer) / len(batches) / eta
     for column in (c for name, c in light.parameters.items() if name not in COEFFICIENTS):
         missed = weights[:-1] @ np.interp(plan.nodes_nm, light.wavelength_nm, column) - column

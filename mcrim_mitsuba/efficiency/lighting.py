@@ -336,9 +336,9 @@ def map_eta(simulation: Simulation, cells: Sequence[int] = CELLS, *, run: Run = 
         raise InputError(problem, f"follow {_FEWEST_PER_CELL * number:,} at least")
     inside = simulation.crystal.part_inside(edges)
     born, light = np.zeros((2, launch_plan.BATCHES, *inside.shape))
-    for launch, tally, place in arrivals.births(simulation, photons, seed=run.seed):
-        born += launch.births(edges)
-        at = launch.records["batch"].astype(np.int64), *map(bin_of, place.T, edges)
+    for launch, tally, place in arrivals.births(simulation, photons, edges, seed=run.seed):
+        born += launch.births
+        at = launch.records["batch"], *map(bin_of, place.T, edges)
         seen = np.ravel_multi_index(at, born.shape)
         light += np.bincount(seen, launch.records["w"], born.size).reshape(born.shape)
         run.tell("mapping births", min(tally.photons, photons), photons)

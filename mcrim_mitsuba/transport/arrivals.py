@@ -172,24 +172,24 @@ def arrivals(
 
 
 def births(
-    simulation: Simulation, photons: int, *, seed: int = 0
+    simulation: Simulation, photons: int, cells: Sequence[np.ndarray], *, seed: int = 0
 ) -> Iterator[tuple[Launch, FateTally, np.ndarray]]:
     """As `arrivals`, with where the detected ones were born: float64, shape (detected, 3), mm.
 
-    Births are random: those of a lattice are off by a pattern, which all cells of a map share.
+    Births are random, for those of a lattice are off by a pattern, and counted in the cells.
     """
     crystal = simulation.crystal
     corner = np.array([*crystal.lower[:2], crystal.upper[2]])
-    for launch, tally in launches(simulation, photons, seed, BIRTH_PLACE, random_births=True):
+    for launch, tally in launches(simulation, photons, seed, BIRTH_PLACE, cells):
         yield launch, tally, corner + _place(launch, BIRTH_PLACE) * (1.0, 1.0, -1.0)
 
 
 def launches(
-    simulation: Simulation, photons: int, seed: int, columns: Sequence[str], **options: bool
+    simulation: Simulation, photons: int, seed: int, columns: Sequence[str], cells: Sequence = ()
 ) -> Iterator[tuple[Launch, FateTally]]:
-    """Launches with these columns of records, and options of a `Loop`; the tally of all so far."""
-    launcher, most = simulation.launcher(), simulation.depth_limit
-    for launch in launcher.launches(photons, seed=seed, columns=columns, max_depth=most, **options):
+    """Launches with these columns of records, and births in cells; and the tally of all so far."""
+    launcher, options = simulation.launcher(), {"max_depth": simulation.depth_limit, "seed": seed}
+    for launch in launcher.launches(photons, columns=columns, birth_cells=cells, **options):
         yield launch, launcher.tally
 
 

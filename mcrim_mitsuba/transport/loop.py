@@ -9,8 +9,7 @@ the coefficients of scattering and absorption (1/mm), u and v numbers even in [0
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,7 +101,7 @@ class Launch:
     #: ndarray of float64, shape (batches,), or None: Derivative of the detected weight along the
     #: tangent that was asked for.
     detected_slope: np.ndarray | None
-    births: Callable[[Sequence[np.ndarray]], np.ndarray]  #: `Loop.births`
+    births: np.ndarray  #: int64, (batches, x, y, z): In the cells; empty where none were given
 
 
 def launch(path, emitter: CrystalVolume, plan: LanePlan, **options) -> Launch:
@@ -125,7 +124,8 @@ class Loop:
     After `max_depth` free flights a photon is truncated. Coefficients of the crystal may be
     `proposals` in place of the scene's, shared out by the plan. With `columns` the histories
     of the photons that eta counts are returned, these besides scatterings, path, weight and batch
-    (see `RecordStore`); what is not asked for costs nothing. `random_births` lie on no lattice.
+    (see `RecordStore`); what is not asked for costs nothing. Of `birth_cells` the
+    evenly rising edges are given, mm: births are random then, on no lattice, and counted in them.
 
     With a `tangent` the detected weight is also differentiated, by Dr.Jit's forward mode, along
     this change of volumes' scattering and absorption, 1/mm per unit of whatever varies: photons'
@@ -152,7 +152,7 @@ class Loop:
         columns: Sequence[str] | None = None,
         tangent: Mapping[int, Sequence[float]] | None = None,
         trails: TrailStore | None = None,
-        random_births: bool = False,
+        birth_cells: Sequence[np.ndarray] = (),
     ) -> None:
         lanes, photons = plan.lanes, int(plan.photons.sum())
         self.path, self.emitter, self.plan = path, emitter, plan
@@ -165,8 +165,9 @@ class Loop:
         self._depth_limit = opaque([max_depth], mi.UInt32)
         self._aim = None if emitter.aim is None else opaque_vector(emitter.aim)
         self._place_of: Any = None  # by the photon's number, where births lie on no lattice
-        if random_births and emitter.direct:
-            self._place_of = functools.partial(emitter.hashed_birth, seed=(seed, number, 1))
+        self._birth_cells = birth_cells
+        if birth_cells and emitter.direct:
+            self._place_of = lambda slot: emitter.hashed_birth(slot, (seed, number, 1))
         elif not emitter.direct:
             born = emitter.sample(lane_generators(photons, seed, number, 1), photons)
             dr.eval(born)
@@ -420,17 +421,17 @@ class Loop:
         point = self._lattice.mirrored(serial)
         return self.emitter.from_uniforms(*(self._lattice.coordinate(point, j) for j in range(3)))
 
-    def births(self, edges: Sequence[np.ndarray]) -> np.ndarray:
-        """(batches, x, y, z) random births in cells whose evenly rising edges are given, mm."""
-        shape = BATCHES, *(len(along) - 1 for along in edges)
+    def _births_in(self, cells: Sequence[np.ndarray]) -> np.ndarray:
+        """(batches, x, y, z) random births in cells, by their edges."""
+        shape = BATCHES, *(len(edges) - 1 for edges in cells)
         cell = mi.UInt32(np.repeat(self.plan.batch, self.plan.photons))
         places = self._place_of(dr.arange(mi.UInt32, len(cell)))
-        for place, along, number in zip(places, edges, shape[1:], strict=True):
-            low, per_mm = opaque([along[0]]), opaque([1.0 / (along[1] - along[0])])
+        for place, edges, number in zip(places, cells, shape[1:], strict=True):
+            low, per_mm = opaque([edges[0]]), opaque([1.0 / (edges[1] - edges[0])])
             cell = cell * number + mi.UInt32(dr.clip((place - low) * per_mm, 0, number - 1))
         counts = dr.zeros(mi.UInt32, int(np.prod(shape)))
         dr.scatter_reduce(dr.ReduceOp.Add, counts, mi.UInt32(1), cell)
-        return np.array(counts).reshape(shape)
+        return np.array(counts, np.int64).reshape(shape)
 
     def gathered(self, final: Photon) -> Launch:
         """What the loop found, when it has run."""
@@ -464,7 +465,7 @@ class Loop:
             weights,
             {} if self.store is None else self.store.collected(self.plan),
             None if slope is None else per_batch(slope),
-            self.births,
+            self._births_in(self._birth_cells) if self._birth_cells else np.empty(0, np.int64),
         )
 
 
