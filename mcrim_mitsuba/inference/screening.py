@@ -38,14 +38,10 @@ def promising_effects(models: Models, effects: Mapping[str, Effect], baseline: M
         name
         for name, fit in fits.items()
         if fit.chi2 - SCREENING.errors * error_of_difference(fit, best) < highest
+        # what gains nothing is as far behind as the campaign as it is, and stays there
+        and baseline.chi2 - fit.chi2
+        > SCREENING.least_gain - SCREENING.errors * error_of_difference(fit, baseline)
     }
-    if baseline.p_value is None or baseline.p_value >= ACCEPTABLE_P:
-        promising = {
-            name
-            for name in promising
-            if baseline.chi2 - fits[name].chi2
-            > SCREENING.least_gain - SCREENING.errors * error_of_difference(fits[name], baseline)
-        }
     if best.p_value is not None and best.p_value < ACCEPTABLE_P:
         weighing = weigh_hypotheses(explanations, NullDistribution(explanations, fits), closed=True)
         promising |= {n for n, p in weighing.inclusion.items() if p > SCREENING.included}

@@ -219,7 +219,7 @@ class ScreeningSettings:
     #: first look has few nodes.
     behind: float = 12.0
     part_behind: float = 0.2
-    #: What it must gain where the campaign as it is describes the readings.
+    #: What it must gain.
     least_gain: float = 6.0
     #: Standard errors of the simulation by which both are eased.
     errors: float = 1.0
