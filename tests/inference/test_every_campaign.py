@@ -45,13 +45,13 @@ def cache(tmp_path_factory):
 
 
 @pytest.fixture(autouse=True)
-def every_third_row(monkeypatch):
-    """Of tables with more than six: verbs do with few rows what they do with many."""
+def few_rows(monkeypatch):
+    """Four of every table, from its first to its last: verbs do with few what they do with many."""
 
     def thinned(*words):
         table = read_table(*words)
-        few = len(table.readings) <= 6
-        return table if few else replace(table, readings=table.readings[::3])
+        places = np.unique(np.linspace(0, len(table.readings) - 1, 4).round().astype(int))
+        return replace(table, readings=tuple(table.readings[place] for place in places))
 
     monkeypatch.setattr(campaigns, "read_table", thinned)
 
