@@ -206,7 +206,7 @@ def test_records_say_how_the_light_came(bench):
     # absorption is by weight, then whole: on average the weight is that of the path
     expected = np.exp(-0.039 * records.path_cm.astype(float))
     heavy = expected > 0.11
-    assert records.w[heavy] == pytest.approx(expected[heavy], rel=1e-4)
+    assert np.abs(records.w[heavy] / expected[heavy] - 1).max() < 1e-4
     assert set(np.unique(records.batch)) == set(range(BATCHES))
 
 
