@@ -62,7 +62,7 @@ def made(campaign):
     return maker, maker.make([campaign.catalogue[name] for name in SIZES])
 
 
-def directly(campaign, sizes, row, seed, photons=500_000):
+def directly(campaign, sizes, row, seed, photons=200_000):
     """Eta and its error of a reading's configuration with effects in the scene."""
     scene, values = campaign.scene, {}
     for name, size in sizes.items():
@@ -476,7 +476,7 @@ def test_a_mended_campaign_says_the_same_by_every_command(campaign, tmp_path, mo
             )
         )
         own = {"n_gap": n, "aperture_radius_mm": radius, "crystal_height_mm": height}
-        found = Simulation(scene.with_overrides(own), check=False).collect(10**6, seed=number)
+        found = Simulation(scene.with_overrides(own), check=False).collect(250_000, seed=number)
         signal = 40.0 * found.eta
         rows.append(f"reading {number},{signal:.5g},{0.005 * signal:.3g},{n},{radius},{height}")
     (tmp_path / "readings.csv").write_text("\n".join(rows) + "\n")
@@ -502,7 +502,7 @@ def test_a_mended_campaign_says_the_same_by_every_command(campaign, tmp_path, mo
     scene = read_campaign(tmp_path / "new.toml").scene
     for row, (n, radius, height) in zip(mended.fit.rows, configurations, strict=True):
         own = {"n_gap": n, "aperture_radius_mm": radius, "crystal_height_mm": height}
-        found = Simulation(scene.with_overrides(own), check=False).collect(300_000, seed=99)
+        found = Simulation(scene.with_overrides(own), check=False).collect(100_000, seed=99)
         assert abs(found.eta - row.eta) < 4.5 * math.hypot(found.eta_sigma, row.eta_sigma)
 
 
