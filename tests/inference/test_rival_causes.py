@@ -61,8 +61,12 @@ def test_wrong_readings_are_named(wrong, seed):
     factors[list(wrong)] += 0.07 * np.where(np.arange(len(wrong)) % 2, -1.0, 1.0)
     found = diagnosis_of(judge(models(seed, change=lambda signal: signal * factors), SOME))
     assert found.verdict == "unexplained" and not found.repair[1:]
-    labels = {f"row{i + 1}" for i in wrong}
-    assert set(found.suspect_readings[0].labels) == labels
+    labels, first = {f"row{i + 1}" for i in wrong}, found.suspect_readings[0]
+    assert set(first.labels) == labels and found.candidates
+    if len(wrong) == 1:
+        assert first.kind == "bad_reading" and first.pull > 5
+        pulls = found.baseline.left_out_pulls
+        assert labels == {max(pulls, key=pulls.get)}
     named = [(suspect.kind, suspect.labels) for suspect in found.suspect_readings]
     assert len(named) == len(set(named))  # with stated errors and with larger ones it is one
     likeliest = next(iter(found.probabilities))
@@ -78,10 +82,10 @@ def test_swapped_rows_are_named():
         return signal[order]
 
     found = diagnosis_of(judge(models(7, change=change), SOME))
-    assert found.verdict == "unexplained"
-    assert found.suspect_readings[0].kind == "swapped_rows"
-    assert found.suspect_readings[0].labels == ("row4", "row9")
-    assert found.families[0].family == "instrument"
+    assert found.verdict == "unexplained" and found.families[0].family == "instrument"
+    for suspects in (found.suspect_readings, found.baseline.suspects):
+        assert suspects[0].kind == "swapped_rows" and suspects[0].labels == ("row4", "row9")
+    assert found.baseline.p_value < 1e-6 and found.baseline.suspects[0].p_value > 0.001
 
 
 @pytest.mark.parametrize("swapped", [False, True])
