@@ -453,7 +453,7 @@ def test_what_a_scene_cannot_take_is_told_with_the_reason(scenes, tmp_path):
     path = tmp_path / "wrapped.toml"
     path.write_text(
         f'scene = "{scenes}/camoo4_wrapped.xml"\nmeasurements = "{scenes}/camoo4_measured.csv"\n'
-        "[parameters.alpha_scat_per_cm]\nstart = 0.5\n"
+        f"[parameters.alpha_scat_per_cm]\nstart = 0.5\n{EXACT}"
     )
     simulations = CampaignSimulations(read_campaign(path), Run(512, check=False))
     found = diagnose(simulations, only=["background"])
