@@ -66,7 +66,7 @@ def test_what_is_invisible_is_shown_as_its_code():
     assert visible("👨\u200d👩") == "👨\u200d👩"  # joiners shape letters and emoji
 
 
-@cases("value", "sigma", "text", more=[(1.0, None, "1")])
+@cases("value", "sigma", "text", more=[(1.0, None, "1"), (0.252, None, "0.252")])
 def test_the_rule_of_the_particle_data_group(value, sigma, text):
     assert pdg(value, sigma) == text
 
@@ -100,13 +100,9 @@ def test_numbers_probabilities_and_per_cents():
         "p < 1e-99",
         "no p-value",
     ]
-    assert [rounding.percent(p) for p in (0.005, 0.1, 1.0, 1e-6, 0.0)] == [
-        "0.50 %",
-        "10.0 %",
-        "100 %",
-        "< 0.01 %",
-        "0.0 %",
-    ]
+    known = {0.005: "0.50 %", 0.1: "10.0 %", 1.0: "100 %", 1e-6: "< 0.01 %", 0.0: "0.0 %"}
+    known |= {0.00654: "0.65 %", 0.0995: "9.95 %", 2.5: "250 %", 1e-7: "< 0.01 %"}
+    assert {p: rounding.percent(p) for p in known} == known
     assert rounding.percent(0.1234, more=1) == "12.34 %"
     assert [rounding.probability(p) for p in (0.7, 0.003, 1e-5, 0.9999, 0.995, 1.0)] == [
         "70 %",

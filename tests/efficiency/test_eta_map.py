@@ -43,7 +43,7 @@ def test_map_agrees_with_light_that_is_born_in_one_cell(mapped):
         corner = [low for low, _ in edges]
         sides = np.diag([high - low for low, high in edges])
         crystal._corner, *crystal._edges = map(opaque_vector, (corner, *sides))
-        alone = collect(simulation, run=Run(photons=400_000, seed=10 + number))
+        alone = collect(simulation, run=Run(photons=100_000, seed=10 + number))
         error = np.hypot(alone.eta_sigma, mapped.eta_sigma[cell])
         zs.append((mapped.eta[cell] - alone.eta) / error)
     assert max(map(abs, zs)) < LARGEST_Z, zs
@@ -90,7 +90,7 @@ def test_error_of_the_rms_under_noise_is_its_scatter(mapped, rms):
 def test_births_that_fall_with_depth_give_the_same_map(mapped, effect):
     depth = {"source_depth": "source_depth_mm", "side_source": "side_depth_mm"}[effect]
     scene = mcrim.add(effect, BENCH, **{depth: 4.0})
-    other = map_eta(Simulation(scene), run=Run(photons=3_000_000, seed=2))
+    other = map_eta(Simulation(scene), run=Run(photons=1_500_000, seed=2))
     z = (other.eta - mapped.eta) / np.hypot(other.eta_sigma, mapped.eta_sigma)
     # sums of 125 cells each: chi2 of 8 exceeds 26 in one run in 1,000
     by_eighth = z.reshape(2, 5, 2, 5, 2, 5).sum(axis=(1, 3, 5)) / np.sqrt(125.0)

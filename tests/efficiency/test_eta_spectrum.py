@@ -176,12 +176,12 @@ def test_a_photocathode_s_wavelength_is_the_light_s(tmp_path):
     light = written(tmp_path, "wavelength_nm,emission (photons/nm)", at, [0.1, 1, 0.1])
     scene = read_scene(SCENES / "bgo_esr.xml")
     over, varying = (
-        mcrim_mitsuba.eta_spectrum(scene, light, photons=100_000),
+        mcrim_mitsuba.eta_spectrum(scene, light, photons=40_000),
         read_light(light, scene),
     )
     for nm in at:
         bench = {**varying.at(nm), "wavelength_nm": nm}
-        alone = mcrim_mitsuba.simulate(scene, photons=100_000, seed=2, **bench)
+        alone = mcrim_mitsuba.simulate(scene, photons=40_000, seed=2, **bench)
         place = int(np.abs(over.light.wavelength_nm - nm).argmin())
         sigma = np.hypot(over.eta_sigma[place], alone.eta_sigma)
         off = over.interpolation_error * alone.eta
@@ -203,7 +203,7 @@ def test_the_command_shows_and_draws_it(tenfold, mcrim, here):
         "simulate",
         str(BENCH),
         "--photons",
-        "300000",
+        "100000",
         "--spectrum",
         str(tenfold),
         *"--figure picture.png --json light.json".split(),
@@ -252,7 +252,7 @@ def test_a_campaign_averages_over_its_light(tenfold, here):
     for seed, (n_gap, radius, height) in enumerate(benches):
         values = {"n_gap": n_gap, "aperture_radius_mm": radius, "crystal_height_mm": height}
         bench = file.with_overrides({name: float(value) for name, value in values.items()})
-        found = eta_over(bench, light, run=Run(photons=1_000_000, seed=seed))
+        found = eta_over(bench, light, run=Run(photons=250_000, seed=seed))
         signal = 100.0 * found.eta_detected * (1.0 + 0.003 * rng.standard_normal())
         readings.append(f"r{seed},{signal:.5f},{0.004 * signal:.5f},{n_gap},{radius},{height}")
     header = "label,signal,sigma,n_gap,aperture_radius_mm,crystal_height_mm"
@@ -261,7 +261,7 @@ def test_a_campaign_averages_over_its_light(tenfold, here):
     for name, spectrum in {"with": f'spectrum = "{tenfold}"', "without": ""}.items():
         text = CAMPAIGN.format(scene=BENCH.as_posix(), spectrum=spectrum)
         (here / f"{name}.toml").write_text(text)
-        fits[name] = mcrim_mitsuba.calibrate(here / f"{name}.toml", photons=1_000_000)
+        fits[name] = mcrim_mitsuba.calibrate(here / f"{name}.toml", photons=250_000)
     own, fit = light.at(light.mean_nm), fits["with"]
     # each within 3.5 errors: a right program fails in one run in 700
     for name in ("alpha_scat_per_cm", "alpha_abs_per_cm"):

@@ -340,7 +340,7 @@ def test_a_mixture_is_what_simulations_with_its_indices_give_on_average(campaign
 
     def eta(n=None, seed=SEED, spread_over=None):
         scene = campaign.scene if n is None else campaign.scene.with_overrides({"n_crystal": n})
-        own = replace(campaign, scene=scene)
+        own = replace(campaign, scene=scene, tolerances=())
         maker = ResponseMaker(own, Run(4 * PHOTONS, seed=seed))
         responses, effects = maker.make([index] if spread_over else []), []
         if spread_over:
@@ -362,7 +362,8 @@ def test_a_mixture_is_what_simulations_with_its_indices_give_on_average(campaign
 def test_common_random_numbers_give_what_independent_ones_give(campaign, found):
     """The same shift within Z standard errors, and a smaller error."""
     known = KnownCrystal.of(campaign, "CaMoO4")
-    other = NeglectWork(campaign, replace(known, band=None), Run(PHOTONS, seed=SEED + 5))
+    exact = replace(campaign, tolerances=())
+    other = NeglectWork(exact, replace(known, band=None), Run(PHOTONS, seed=SEED + 5))
     (depth, _) = other.neglected()
     common = piece(found, "source_depth").at_fixed
     for name in ("eta air", "eta gel", RATIO):
@@ -383,7 +384,7 @@ def test_what_is_in_the_model_is_not_put_in_again(campaign):
             has_both.parameters["source_depth_mm"], start=1.03, prior=1.03, prior_sigma=0.06
         )
     }
-    has_both = replace(has_both, parameters=parameters)
+    has_both = replace(has_both, parameters=parameters, tolerances=())
     found = budgeting.budget(has_both, material="CaMoO4", run=Run(16_384, seed=SEED))
     assert found.not_estimated["source_depth"] == "it is in the model"
     assert found.not_estimated["polarization"] == "it is in the model"

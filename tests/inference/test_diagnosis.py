@@ -235,30 +235,6 @@ def test_two_hidden_effects_are_found_together():
     assert found.repair[-1].p_value > 0.001
 
 
-def test_a_bad_reading_is_named_before_physics():
-    def change(signal):
-        return np.where(np.arange(len(signal)) == 5, 1.08 * signal, signal)
-
-    found = diagnosed(6, change=change)
-    assert found.verdict == "unexplained" and found.candidates
-    assert found.suspect_readings[0].kind == "bad_reading"
-    assert found.suspect_readings[0].labels == ("row6",)
-    assert found.suspect_readings[0].pull > 5
-    assert max(found.baseline.left_out_pulls, key=found.baseline.left_out_pulls.get) == "row6"
-
-
-def test_swapped_rows_are_named_before_physics():
-    def change(signal):
-        order = np.arange(len(signal))
-        order[[3, 8]] = 8, 3
-        return signal[order]
-
-    found = comparison_of(fit_model(campaign(7, change=change)(())))
-    assert found.suspects[0].kind == "swapped_rows"
-    assert found.suspects[0].labels == ("row4", "row9")
-    assert found.p_value < 1e-6 and found.suspects[0].p_value > 0.001
-
-
 def test_what_no_effect_explains_is_unexplained():
     pattern = np.random.default_rng(8).standard_normal(len(bench.ROWS))
     found = diagnosed(8, change=lambda signal: signal * np.exp(0.04 * pattern))

@@ -45,13 +45,13 @@ def cache(tmp_path_factory):
 
 
 @pytest.fixture(autouse=True)
-def every_third_row(monkeypatch):
-    """Of tables with more than six: verbs do with few rows what they do with many."""
+def few_rows(monkeypatch):
+    """Four of every table, from its first to its last: verbs do with few what they do with many."""
 
     def thinned(*words):
         table = read_table(*words)
-        few = len(table.readings) <= 6
-        return table if few else replace(table, readings=table.readings[::3])
+        places = np.unique(np.linspace(0, len(table.readings) - 1, 4).round().astype(int))
+        return replace(table, readings=tuple(table.readings[place] for place in places))
 
     monkeypatch.setattr(campaigns, "read_table", thinned)
 
@@ -103,7 +103,7 @@ def test_both_drivers_end_at_the_same_chi2(monkeypatch, cache, name):
 
 def test_a_fit_that_goes_below_its_grid_is_not_disturbed_by_noise_above():
     """The wide grid went up to 10 /cm, with 35 % of noise there: slopes here jumped by 30 %."""
-    campaign = read_campaign(CAMPAIGNS["tests/trials/lyso_C.toml"])
+    campaign = replace(read_campaign(CAMPAIGNS["tests/trials/lyso_C.toml"]), tolerances=())
     simulations = CampaignSimulations(campaign, Run(photons=2 * LANES, seed=0))
     responses, readings = simulations.models.responses, campaign.measurements.readings
     assert simulations.maker.grid.alpha_scat_range_per_cm == (0.0005, 0.2)

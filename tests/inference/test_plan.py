@@ -360,14 +360,6 @@ def test_the_efficiency_s_error_is_named_by_its_origins(article, without_photons
     assert "this very detector" in first
 
 
-@pytest.mark.parametrize(
-    ("fraction", "text"),
-    [(0.1, "10.0 %"), (0.00654, "0.65 %"), (0.0995, "9.95 %"), (2.5, "250 %"), (1e-7, "< 0.01 %")],
-)
-def test_percent(fraction, text):
-    assert percent(fraction) == text
-
-
 def test_two_errors_that_differ_are_said_differently(article, without_photons):
     without_photons(formulas)
     found = plan(article, 0.12, n_gap=[1.0, 1.46], mountings=[1], events=[1e3], anew=True)

@@ -16,6 +16,7 @@ from mcrim_mitsuba.inference.compare import find_suspects, likely_swaps
 from mcrim_mitsuba.inference.diagnose import diagnosis_of, judge
 from mcrim_mitsuba.inference.displacement import BaselineFrame, NullDistribution
 from mcrim_mitsuba.inference.drivers import settle
+from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.next_measurements import _most_kept, next_measurements
 from mcrim_mitsuba.inference.rehearsal import widening
@@ -47,11 +48,16 @@ def models(seed, values=None, effects=(), change=lambda signal: signal):
     return lambda added: bench.Model(rows, tuple(added), noise, prior, LIGHT)
 
 
+def diagnosed(models, effects):
+    """Of the fit there are no profiles, which nobody asks."""
+    return diagnosis_of(judge(models, effects, fit=fit_model(models(()), profile=False)))
+
+
 def hidden(name, seed, known):
     """A campaign with an effect, diagnosed with these."""
     parameter, size = HIDDEN[name]
     effects = {other: effect for other, effect in SOME.items() if other in known}
-    return diagnosis_of(judge(models(seed, {parameter: size}, (name,)), effects))
+    return diagnosed(models(seed, {parameter: size}, (name,)), effects)
 
 
 @pytest.mark.parametrize(("wrong", "seed"), [((5,), 1), ((2, 11), 2), ((1, 8, 13), 3)])
@@ -59,10 +65,14 @@ def test_wrong_readings_are_named(wrong, seed):
     """7 % up or down, as a laboratory's: one, two or three of sixteen."""
     factors = np.ones(len(bench.ROWS))
     factors[list(wrong)] += 0.07 * np.where(np.arange(len(wrong)) % 2, -1.0, 1.0)
-    found = diagnosis_of(judge(models(seed, change=lambda signal: signal * factors), SOME))
+    found = diagnosed(models(seed, change=lambda signal: signal * factors), SOME)
     assert found.verdict == "unexplained" and not found.repair[1:]
-    labels = {f"row{i + 1}" for i in wrong}
-    assert set(found.suspect_readings[0].labels) == labels
+    labels, first = {f"row{i + 1}" for i in wrong}, found.suspect_readings[0]
+    assert set(first.labels) == labels and found.candidates
+    if len(wrong) == 1:
+        assert first.kind == "bad_reading" and first.pull > 5
+        pulls = found.baseline.left_out_pulls
+        assert labels == {max(pulls, key=pulls.get)}
     named = [(suspect.kind, suspect.labels) for suspect in found.suspect_readings]
     assert len(named) == len(set(named))  # with stated errors and with larger ones it is one
     likeliest = next(iter(found.probabilities))
@@ -77,11 +87,11 @@ def test_swapped_rows_are_named():
         order[[3, 8]] = 8, 3
         return signal[order]
 
-    found = diagnosis_of(judge(models(7, change=change), SOME))
-    assert found.verdict == "unexplained"
-    assert found.suspect_readings[0].kind == "swapped_rows"
-    assert found.suspect_readings[0].labels == ("row4", "row9")
-    assert found.families[0].family == "instrument"
+    found = diagnosed(models(7, change=change), SOME)
+    assert found.verdict == "unexplained" and found.families[0].family == "instrument"
+    for suspects in (found.suspect_readings, found.baseline.suspects):
+        assert suspects[0].kind == "swapped_rows" and suspects[0].labels == ("row4", "row9")
+    assert found.baseline.p_value < 1e-6 and found.baseline.suspects[0].p_value > 0.001
 
 
 @pytest.mark.parametrize("swapped", [False, True])
@@ -107,7 +117,7 @@ def test_exchanged_labels_of_treatments_are_named(swapped):
         return treated
 
     some = {name: SOME[name] for name in ("gap_bubble", "surface_absorption")}
-    found = diagnosis_of(judge(model, some))
+    found = diagnosed(model, some)
     if not swapped:
         assert not found.suspect_readings and not found.baseline.suspects
         return

@@ -253,7 +253,7 @@ def test_a_second_line_tells_a_bent_readout_from_all_else(read):
     # what grinding does is known, so that one line says anything at all
     text = TEXT.replace("start = 0.3\n", "start = 0.3\nprior = 0.3\nprior_sigma = 0.02\n")
     campaign = read(text, rows).with_effects(["nonlinearity"])
-    model = CampaignSimulations(campaign, Run(4 * LANES, seed=2)).models.model()
+    model = CampaignSimulations(campaign, Run(LANES, seed=2)).models.model()
     values = {p.name: p.start for p in model.free} | {"scale": 2.0, "nonlinearity": 0.3}
     true = model.predict(np.array([values[p.name] for p in model.free])).signal
 

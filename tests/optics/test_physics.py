@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from places import cases_of
 from refusals import refusal
 
-from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
 from mcrim_mitsuba.optics.fresnel import amplitudes, escape_fraction, reflectance, trapped_fraction
 from mcrim_mitsuba.optics.slab_transmittance import (
@@ -15,8 +13,6 @@ from mcrim_mitsuba.optics.slab_transmittance import (
     transmittance,
 )
 from mcrim_mitsuba.optics.thin_film import ThinFilm, cathode_index
-
-cases = cases_of(__file__)
 
 #: A/A(0), and R of it at 540 nm, of the photocathode in the catalogue's definitions.
 ANGLES_DEG = [0.0, 38.0, 45.0, 50.0, 60.0, 75.0]
@@ -130,11 +126,6 @@ def test_multiple_reflection_is_the_sum_of_its_orders_and_inverts():
     for t in (1e-6, 0.3, 1.0):
         for n in (1.0, 1.5, 2.01):
             assert internal_transmittance(measured_transmittance(t, n), n) == pytest.approx(t)
-
-
-@cases("value", "sigma", "text", more=[(0.252, None, "0.252")])
-def test_pdg_rounding(value, sigma, text):
-    assert pdg(value, sigma) == text
 
 
 @pytest.mark.parametrize(

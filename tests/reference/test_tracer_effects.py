@@ -185,7 +185,7 @@ def _facets(view, alpha, beckmann=False):
     D_v = max(0, v.m) D over the area that is seen, which is v.n (1 + Lambda) from above and
     |v.n| Lambda from below (Heitz 2018, eqs. 1 to 4, and Heitz et al. 2016).
     """
-    steps = 800
+    steps = 400
     # tan(theta)^2 / alpha^2 = (1 - v) / v, or -ln(v), has D cos(theta) dm uniform in v; v = t^4
     # gives the long tail of steep facets enough points
     t = (np.arange(steps) + 0.5) / steps

@@ -50,15 +50,6 @@ def test_a_scene_knows_its_places_files_and_whether_it_changed(tmp_path):
     assert scene.text_or_hash != other.text_or_hash and scene.content_hash != other.content_hash
 
 
-def test_a_default_that_nothing_uses_is_noted(tmp_path):
-    path = tmp_path / "bench.xml"
-    path.write_text(
-        BENCH.read_text().replace("<integrator", '<default name="x" value="1"/><integrator')
-    )
-    [note] = read_scene(path).notes
-    assert note.startswith("x of bench.xml, line ") and "is declared but never used" in note
-
-
 def test_a_plan_is_put_together_when_it_is_needed(bench):
     plan = ScenePlan(bench, {"n_gap": 1.46})
     assert plan.path == BENCH and plan.file.parameters["n_gap"] == 1.46

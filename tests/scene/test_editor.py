@@ -203,22 +203,11 @@ def test_defaults_that_have_lost_are_left_out_wherever_they_stand(tmp_path):
         assert scene.root.find("medium[@id='gap']/float").get("name") == "y"
 
 
-def test_an_included_file_of_another_folder_is_not_written_into_the_scene(tmp_path):
-    text = BENCH.read_text().replace(
-        '  <medium type="bulk" id="gap"/>\n', '  <include filename="parts/part.xml"/>\n'
-    )
-    (tmp_path / "parts").mkdir()
-    (tmp_path / "parts/part.xml").write_text(PART)
-    editor = edited(text, tmp_path)
-    editor.insert_last(editor.gap, '<float name="y" value="1"/>')
-    refused = refusal(editor.finished)
-    assert refused.startswith(f"{tmp_path / 'parts/part.xml'}, line 5: what the effect changes is")
-
-
-def test_what_is_no_utf_8_is_not_edited(tmp_path):
-    text = BENCH.read_text().replace('encoding="utf-8"', 'encoding="iso-8859-1"')
+@pytest.mark.parametrize("encoding", ["iso-8859-1", "utf-16"])
+def test_what_is_no_utf_8_is_not_edited(tmp_path, encoding):
+    text = BENCH.read_text().replace('encoding="utf-8"', f'encoding="{encoding}"')
     with pytest.raises(InputError, match="only scenes in UTF-8 can be edited"):
-        edited(text.encode("latin-1"), tmp_path)
+        edited(text.encode(encoding), tmp_path)
 
 
 @cases("old", "new", "part", "says")

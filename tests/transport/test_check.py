@@ -155,7 +155,8 @@ def test_types_of_plugins_that_are_proposed_exist():
 def test_a_default_that_nothing_uses_is_a_warning(tmp_path):
     path = tmp_path / "scene.xml"
     path.write_text(BENCH.replace("<default", '<default name="spare" value="3"/>\n  <default', 1))
-    said = f"spare of scene.xml, line {BENCH[: BENCH.index('<default')].count(chr(10)) + 1}, is"
+    line = BENCH[: BENCH.index("<default")].count("\n") + 1
+    said = f"spare of scene.xml, line {line}, is declared but never used"
     report = mcrim.check(path)
     assert report.ok and [note.startswith(said) for note in report.description.notes] == [True]
     found = mcrim.simulate(path, photons=1)

@@ -80,7 +80,7 @@ def boxed(tmp_path, phase="", **overrides) -> Simulation:
     return Simulation(path, overrides, check=False)
 
 
-def record(simulation, columns=(), *, seed, launches=64, alpha_scat=0.54, alpha_abs=0.039):
+def record(simulation, columns=(), *, seed, launches=24, alpha_scat=0.54, alpha_abs=0.039):
     return Recorder(simulation).record(
         ScatteringProposals((alpha_scat,), (SHARE_STEPS,), alpha_abs),
         launches * LANES,
@@ -117,14 +117,14 @@ def test_henyey_greenstein_angles_have_their_distribution(g):
         below = (1 - g * g) / (2 * g) * ((1 + g * g - 2 * g * cosine) ** -0.5 - 1 / (1 + g))
     else:
         below = (1 + cosine) / 2
-    assert below == pytest.approx((1 + even) / 2, abs=1e-4)
+    assert np.abs(below - (1 + even) / 2).max() < 1e-4
 
 
 def test_rayleigh_angles_have_their_distribution():
     mi = use_variant()
     even = (np.arange(100_000) + 0.5) / 50_000 - 1
     cosine = np.array(rayleigh_cosine(mi.Float(even)), dtype=float)
-    assert 3 / 8 * (cosine + cosine**3 / 3) == pytest.approx(even / 2, abs=1e-6)
+    assert np.abs(3 / 8 * (cosine + cosine**3 / 3) - even / 2).max() < 1e-6
 
 
 @pytest.mark.parametrize("phase", ["isotropic", "rayleigh", -0.5, 0.8])
@@ -174,10 +174,10 @@ def test_a_graded_crystal_answers_for_other_coefficients_and_slopes(bench):
     simulation = bench("gradient", GEL)
     records = record(simulation, seed=4)
     k, weighted = records.k, records.further["scattering_path_cm"]
-    direct = bench("gradient", {"alpha_scat_per_cm": 0.3} | GEL).collect(10**6, seed=5)
+    direct = bench("gradient", {"alpha_scat_per_cm": 0.3} | GEL).collect(400_000, seed=5)
     assert_eta(records, (0.3 / 0.54) ** k * np.exp(0.24 * weighted), direct)
     slope, sigma = mean_per_photon(records, records.w * (k / 0.54 - weighted))
-    automatic, error = eta_slope(simulation, "alpha_scat_per_cm", photons=10**6, seed=6)
+    automatic, error = eta_slope(simulation, "alpha_scat_per_cm", photons=400_000, seed=6)
     assert abs(automatic - slope) < Z * np.hypot(sigma, error)
     assert abs(slope) > 10 * sigma
 
@@ -186,7 +186,7 @@ def test_colours_scatter_by_their_wavelengths(bench):
     """Against single wavelengths, and the NumPy tracer, which draws them itself."""
     gap, alpha_scat = GEL, 0.54
     own = bench("colours", {"alpha_scat_per_cm": alpha_scat} | gap)
-    drawn = own.collect(10**6, seed=1)
+    drawn = own.collect(400_000, seed=1)
     parts, factors = scattering_of_colours(4.0, 540.0, 150.0)
     each = [
         bench("", {"alpha_scat_per_cm": alpha_scat * float(factor)} | gap).collect(200_000, seed=2)
@@ -218,7 +218,7 @@ def test_coloured_light_answers_for_other_coefficients(bench):
     """As a graded crystal does; and the mean over colours is that of their weights."""
     records = record(bench("colours", GEL), seed=4)
     k, weighted = records.k, records.further["scattering_path_cm"]
-    direct = bench("colours", {"alpha_scat_per_cm": 0.3} | GEL).collect(10**6, seed=5)
+    direct = bench("colours", {"alpha_scat_per_cm": 0.3} | GEL).collect(400_000, seed=5)
     assert_eta(records, (0.3 / 0.54) ** k * np.exp(0.24 * weighted), direct)
     plain = record(bench("", GEL), seed=6)
     parts, factors = scattering_of_colours(4.0, 540.0, 150.0)
@@ -226,7 +226,7 @@ def test_coloured_light_answers_for_other_coefficients(bench):
         part * f ** plain.k.astype(float) * np.exp(0.54 * (1.0 - f) * plain.path_cm)
         for part, f in zip(parts, factors, strict=True)
     )
-    assert_eta(plain, weight, bench("colours", GEL).collect(10**6, seed=7))
+    assert_eta(plain, weight, bench("colours", GEL).collect(400_000, seed=7))
 
 
 def test_stock_media_scatter_as_ours_do(bench):
@@ -271,7 +271,7 @@ def test_stock_media_scatter_as_ours_do(bench):
 def test_facets_are_drawn_as_they_are_seen(cosine, alpha, beckmann):
     """Means over drawn facets, some seen from below, against a quadrature of their slopes."""
     mi = use_variant()
-    count, seen_from = 1_000_000, np.array([np.sqrt(1 - cosine**2), 0.0, cosine])
+    count, seen_from = 400_000, np.array([np.sqrt(1 - cosine**2), 0.0, cosine])
     view, rng = mi.Vector3f(*seen_from.tolist()), lane_generators(count, 8)
     uniforms = [rng.next_float32() for _ in range(5)]
     if beckmann:
@@ -279,11 +279,11 @@ def test_facets_are_drawn_as_they_are_seen(cosine, alpha, beckmann):
         facet = np.array(facet, dtype=float)[:, np.array(taken)]
     else:
         facet = np.array(dielectric._visible_of_ggx(view, alpha, *uniforms[:2]), dtype=float)
-    slopes = np.sinh(np.linspace(-9, 9, 2001)) * alpha / 3
+    slopes = np.sinh(np.linspace(-9, 9, 1001)) * alpha / 3
     p, q = np.meshgrid(slopes, slopes)
     steep2 = (p**2 + q**2) / alpha**2
     density = np.exp(-steep2) if beckmann else (1 + steep2) ** -2
-    density *= np.cosh(np.linspace(-9, 9, 2001)) * np.cosh(np.linspace(-9, 9, 2001))[:, None]
+    density *= np.cosh(np.linspace(-9, 9, 1001)) * np.cosh(np.linspace(-9, 9, 1001))[:, None]
     density *= np.maximum(
         seen_from @ np.array([-p.ravel(), -q.ravel(), np.ones(p.size)]), 0
     ).reshape(p.shape)
@@ -302,11 +302,11 @@ FACES = TABLES["faces"]
 def test_isotropic_light_in_equilibrium_stays_isotropic(contrast):
     """As much goes through from either side, and radiance is n^2 at all angles, of every face.
 
-    One million photons from each side. Fluxes agree within 0.3 % and 4 standard errors, radiance
-    in 20 bins of solid angle within 1 % and 4.5: with 1,500 comparisons a right program fails with
+    400,000 photons from each side. Fluxes agree within 0.3 % and 4 standard errors, radiance in
+    20 bins of solid angle within 1 % and 4.5: with 1,500 comparisons a right program fails with
     a probability of 1.5 %.
     """
-    count = 1_000_000
+    count = 400_000
     for polarised in (False, True):
         for alpha, heights_nm in FACES[4 * polarised :: 1 + 5 * polarised]:
             ways = [
@@ -425,7 +425,7 @@ def test_records_of_ground_faces_answer_for_what_they_take(bench):
     records = record(bench("ground", GEL | {"ground_loss": 0.0}), ("rough_hits",), seed=51)
     lossy = bench("ground", GEL | {"ground_loss": 0.3})
     hits = records.further["rough_hits"].astype(float)
-    assert_eta(records, 0.7**hits, lossy.collect(10**6, seed=52))
+    assert_eta(records, 0.7**hits, lossy.collect(400_000, seed=52))
     assert hits.max() > 5 and (hits == 0).any()
 
 
@@ -478,14 +478,14 @@ def test_records_of_the_plain_bench_answer_for_effects(bench, unmasked):
         "masked_detector": (more["arrival_radius_mm"] <= 7, {"aperture_radius_mm": 7}),
     }
     for seed, (effects, (factor, overrides)) in enumerate(cases.items(), start=21):
-        assert_eta(unmasked, factor, bench(effects, GEL | overrides).collect(10**6, seed=seed))
-    direct = bench("", GEL | {"aperture_radius_mm": 7}).collect(10**6, seed=30)
+        assert_eta(unmasked, factor, bench(effects, GEL | overrides).collect(400_000, seed=seed))
+    direct = bench("", GEL | {"aperture_radius_mm": 7}).collect(400_000, seed=30)
     assert_eta(unmasked, more["mask_radius_mm"] <= 7, direct)
     for name, factor in (
         ("angular_falloff", more["arrival_cosine"]),
         ("radial_falloff", np.maximum(1 - radius2, 0)),
     ):
-        direct = bench("detector", GEL | {name: 1}).collect(10**6, seed=31)
+        direct = bench("detector", GEL | {name: 1}).collect(400_000, seed=31)
         assert_eta(unmasked, masked * factor, direct)
         assert direct.budget["absorbed_surface"] > 0.01
     assert np.array_equal(unmasked.further["scattering_path_cm"], unmasked.path_cm)
@@ -497,11 +497,11 @@ def test_hits_answer_for_other_reflectances(bench):
         bench("detector", GEL | {"detector_reflectance": 0.5}), ("detector_hits",), seed=32
     )
     hits = records.further["detector_hits"].astype(float)
-    direct = bench("detector", GEL | {"detector_reflectance": 0.2}).collect(10**6, seed=33)
+    direct = bench("detector", GEL | {"detector_reflectance": 0.2}).collect(400_000, seed=33)
     assert_eta(records, 0.8 / 0.5 * 0.4**hits, direct)
     records = record(bench("top", GEL), ("reflector_hits",), seed=34)
     hits = records.further["reflector_hits"].astype(float)
-    direct = bench("top", GEL | {"top_reflectance": 0.6}).collect(10**6, seed=35)
+    direct = bench("top", GEL | {"top_reflectance": 0.6}).collect(400_000, seed=35)
     assert_eta(records, (0.6 / 0.99) ** hits, direct)
     assert hits.max() > 3
 
@@ -514,7 +514,7 @@ def test_what_mirrors_and_masks_send_back_answers_for_other_reflectances(bench):
     ):
         records = record(bench(effect, narrow), (column, "mask_radius_mm"), seed=60)
         hits = records.further[column].astype(float)
-        direct = bench(effect, narrow | {name: low}).collect(10**6, seed=44)
+        direct = bench(effect, narrow | {name: low}).collect(400_000, seed=44)
         factor = KNOWN[f"{effect}_reflection" if effect == "housing" else name].weight
         assert_eta(records, factor({column: hits}, {name: low}, {}), direct)
         assert 0.01 < hits.mean() and hits.max() > 3
@@ -526,14 +526,14 @@ def test_a_mask_off_the_axis_is_cut_out_of_records_there(bench):
     records = record(bench("offset", GEL | {"aperture_radius_mm": 60}), columns, seed=45)
     radius, arrival = (records.further[name].astype(float) for name in columns)
     own = GEL | {"aperture_radius_mm": 7}
-    direct = bench("offset", own).collect(10**6, seed=46)
+    direct = bench("offset", own).collect(400_000, seed=46)
     assert_eta(records, radius <= 7, direct)
-    on_axis = bench("", own).collect(10**6, seed=46)
+    on_axis = bench("", own).collect(400_000, seed=46)
     assert direct.eta < 0.85 * on_axis.eta
     assert_same_light(
-        direct, bench("offset", own | {"mask_offset_mm": -3}).collect(10**6, seed=47), z_max=Z
+        direct, bench("offset", own | {"mask_offset_mm": -3}).collect(400_000, seed=47), z_max=Z
     )
-    falling = bench("offset", own | {"radial_falloff": 1}).collect(10**6, seed=48)
+    falling = bench("offset", own | {"radial_falloff": 1}).collect(400_000, seed=48)
     assert_eta(records, (radius <= 7) * np.maximum(1 - (arrival / 14) ** 2, 0), falling)
 
 
@@ -626,7 +626,7 @@ def test_straight_light_on_a_photocathode(tmp_path, polarization, general, index
     if polarization == "false":
         expected = film.absorptance(arrived) / (1 - reflected) / film.head_on
         steep = np.abs(arrived - np.sqrt(1 - 1 / 1.52**2)) > 0.01
-        assert records["w"][steep] == pytest.approx(expected[steep], rel=0.01)
+        assert np.abs(records["w"][steep] / expected[steep] - 1).max() < 0.01
 
 
 @pytest.mark.parametrize("polarization", [False, True], ids=["unpolarised", "polarised"])
@@ -643,7 +643,7 @@ def test_both_paths_agree_on_films_mirrors_and_grey_masks(bench, polarization):
 def test_slanted_light_may_count_more_than_once(bench):
     records = record(bench("", GEL), ("arrival_cosine",), seed=54)
     cosine = records.further["arrival_cosine"].astype(float)
-    direct = bench("detector", GEL | {"angular_falloff": -1}).collect(10**6, seed=55)
+    direct = bench("detector", GEL | {"angular_falloff": -1}).collect(400_000, seed=55)
     assert_eta(records, 2 - cosine, direct)
     assert direct.eta == 2 * direct.budget["detected"]
     assert sum(direct.budget.values()) == pytest.approx(1, abs=1e-6)

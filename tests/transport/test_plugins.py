@@ -152,7 +152,9 @@ def test_lanes_and_their_photons_draw_unrelated_numbers(mi):
     lanes, draws = 16_384, []
     for seed in ((0, 0), (0, 1), (1, 0), (2, 7)):
         rng = lane_generators(lanes, *seed)
-        draws += [np.array(rng.next_float32(), dtype=float) for _ in range(25)]
+        for _ in range(25):
+            draws.append(np.array(rng.next_float32(), dtype=float))
+            dr.eval(rng.state)  # or each kernel would draw once more all that was drawn
     seeds = PhotonSeeds(lanes, 2, 7)
     for serial in range(25):
         rng.state = seeds.state(mi.UInt32(serial))

@@ -206,7 +206,7 @@ def test_records_say_how_the_light_came(bench):
     # absorption is by weight, then whole: on average the weight is that of the path
     expected = np.exp(-0.039 * records.path_cm.astype(float))
     heavy = expected > 0.11
-    assert records.w[heavy] == pytest.approx(expected[heavy], rel=1e-4)
+    assert np.abs(records.w[heavy] / expected[heavy] - 1).max() < 1e-4
     assert set(np.unique(records.batch)) == set(range(BATCHES))
 
 
@@ -402,10 +402,10 @@ def table(scenes, folder, cache, *options):
 
 
 def test_killed_at_any_moment_the_next_run_goes_on(scenes, tmp_path):
-    """Ten kills at random moments of one table; then it is what it would have been.
+    """Four kills at random moments of one table; then it is what it would have been.
 
-    In the last two thirds of its time: before that Python and Mitsuba are loaded, and nothing can
-    be lost. `scripts/trials kill` kills many more.
+    One in each quarter of the last two thirds of its time: before that Python and Mitsuba are
+    loaded, and nothing can be lost. `scripts/trials kill` kills many more.
     """
     process, path = table(scenes, tmp_path, "off")
     start = time.perf_counter()
@@ -414,7 +414,7 @@ def test_killed_at_any_moment_the_next_run_goes_on(scenes, tmp_path):
     path.unlink()
     rng = np.random.default_rng(6)
     cache, finished = tmp_path / "cache", set()
-    for moment in rng.uniform(1 / 3, 1, 10) * seconds:
+    for moment in (1 / 3 + (np.arange(4) + rng.random(4)) / 6) * seconds:
         process, _ = table(scenes, tmp_path, cache)
         try:
             process.wait(float(moment))

@@ -83,7 +83,7 @@ def test_each_flight_stays_in_its_volume(followed):
 def test_shares_are_those_of_the_simulation(followed):
     """9 comparisons at z = 4: false alarms 6e-4 (births are more even than independent ones)."""
     simulation, trails, _ = followed
-    known = simulation.collect(2_000_000, seed=9)
+    known = simulation.collect(200_000, seed=9)
     assert set(trails.shares) <= set(known.budget)
     for fate, expected in known.budget.items():
         sigma = np.hypot(np.sqrt(expected * (1 - expected) / PHOTONS), known.budget_sigma[fate])

@@ -141,7 +141,7 @@ def test_ground_faces_take_their_part_before_a_wrapping_that_touches_them(tmp_pa
 @pytest.mark.parametrize("film", [0.02, 1.0, 0.0])
 def test_what_loses_nothing_detects_all(cavity, form, contact, specular, film, general):
     simulation = cavity(form, c=contact, s=specular, film=film)
-    result = simulation.collect(20_000, seed=1, general=general)
+    result = simulation.collect(10_000, seed=1, general=general)
     # what is mirrored along a round wall for ever, Mitsuba loses sometimes
     assert result.eta + result.budget["truncated"] == pytest.approx(
         1, abs=5e-4 if general else 1e-4
@@ -282,7 +282,7 @@ def test_an_integrating_cavity_shares_its_light_by_areas(cavity, form, numbers):
     """
     index, contact = 1.5, numbers.get("c", 0.0)
     simulation = cavity(form, _HOLE, n=index, alpha_scat_per_cm=1.0, **numbers)
-    result = simulation.collect(60_000, seed=5)
+    result = simulation.collect(20_000, seed=5)
     perimeter, area = _OUTLINE[form]
     film, loss = numbers["film"], 1.0 - numbers["rho"]
     side, top = perimeter * WIDTH * HEIGHT, area * WIDTH**2
