@@ -325,7 +325,7 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(browser, tmp_path, shared
     campaign = misfit(tmp_path, (2, 3, 7, 15, 18), exact=True)
     browser.resize(*size)
     wide = f"keyboard {size[0]}"
-    with running(campaign, shared_cache, browser) as app:
+    with running(campaign, shared_cache, browser, quick=True) as app:
         browser.driver.execute_cdp_cmd("Page.enable", {})
         browser.driver.execute_cdp_cmd("Page.setInterceptFileChooserDialog", {"enabled": True})
         app.tab_to("#upload-button")
