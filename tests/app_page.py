@@ -78,6 +78,30 @@ def misfit(folder: Path, lines: Sequence[int], *, exact: bool = False) -> Path:
     return path
 
 
+#: A page that tries seven effects, of which the misfit's explains it, and whose reports are without
+#: a photograph; `mcrim diagnose` and `mcrim report` are tested with all of them.
+QUICK = """
+import sys
+from types import SimpleNamespace
+import numpy as np
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.output import photograph, report_sections
+
+tried = sys.argv.pop(1).split(",")
+possible = CampaignSimulations.possible
+CampaignSimulations.possible = lambda self: {n: possible(self)[n] for n in tried}
+sheets = np.zeros((920, 1440, 3), np.uint8), np.zeros((472, 712, 3), np.uint8)
+photograph.begin_photograph = lambda *_: SimpleNamespace(picture=sheets, trouble="")
+report_sections.LIGHT_PHOTONS = 4000
+sys.exit(main())
+"""
+TRIED = (
+    "gap_bubble,edge_chamfer,surface_absorption,gap_absorption,detector_radius,background,"
+    "nonlinearity"
+)
+
+
 class App:
     """The page of a campaign, open in a browser."""
 
@@ -168,11 +192,12 @@ class App:
 
 
 @contextmanager
-def running(campaign, cache, browser, photons=PHOTONS, *, settled=True):
+def running(campaign, cache, browser, photons=PHOTONS, *, settled=True, quick=False):
     """Start `mcrim app`, open what it prints, end it by Ctrl-C."""
-    command = [sys.executable, "-m", "mcrim_mitsuba", "app", str(campaign), "--no-browser"]
+    program = ["-c", QUICK, TRIED] if quick else ["-m", "mcrim_mitsuba"]
+    words = ["app", str(campaign), "--no-browser", "--photons", str(photons)]
     process = subprocess.Popen(
-        [*command, "--photons", str(photons)],
+        [sys.executable, *program, *words],
         text=True,
         stdout=-1,
         stderr=-1,

@@ -32,7 +32,7 @@ def width_of_page(browser) -> int:
 
 def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, tmp_path):
     uploaded = some_of_misfit(tmp_path / "measured.csv", ELEVEN)
-    with running(campaign, shared_cache, browser) as app:
+    with running(campaign, shared_cache, browser, quick=True) as app:
         assert app.is_about("bench.toml") and app.is_about("few.csv (2)")
         assert [row[0] for row in app.table()] == ["air", "gel"]
         app.take(uploaded, 11)

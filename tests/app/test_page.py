@@ -17,7 +17,7 @@ MANY_PHOTONS = 524_288
 @pytest.fixture
 def campaign(tmp_path):
     """The misfit's campaign with four readings."""
-    return misfit(tmp_path, (2, 3, 7, 15, 18))
+    return misfit(tmp_path, (2, 3, 7, 15, 18), exact=True)
 
 
 def test_a_reading_tells_its_treatment_and_line():
@@ -37,7 +37,7 @@ def test_jobs_wait_and_stop(browser, campaign, scenes):
     rows = [lines[i] for i in (2, 3, 5, 7, 9, 15)]
     (campaign.parent / "few.csv").write_text("\n".join(rows) + "\n")
     with campaign.open("a") as file:
-        file.write("[tolerances]\nnone = true\nn_crystal = 0.01\n")
+        file.write("n_crystal = 0.01\n")
     with running(campaign, "off", browser, MANY_PHOTONS, settled=False) as app:
         status = lambda: browser.text("#status")  # noqa: E731
         browser.wait_for(lambda: status().startswith("simulating the bench"), "simulation")
@@ -325,7 +325,7 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(browser, tmp_path, shared
     campaign = misfit(tmp_path, (2, 3, 7, 15, 18), exact=True)
     browser.resize(*size)
     wide = f"keyboard {size[0]}"
-    with running(campaign, shared_cache, browser) as app:
+    with running(campaign, shared_cache, browser, quick=True) as app:
         browser.driver.execute_cdp_cmd("Page.enable", {})
         browser.driver.execute_cdp_cmd("Page.setInterceptFileChooserDialog", {"enabled": True})
         app.tab_to("#upload-button")

@@ -4,8 +4,11 @@ import os
 import subprocess
 import sys
 
+import cluster
 import pytest
 from places import SCRIPTS
+
+from mcrim_mitsuba.cli import terminal
 
 #: What Slurm and HTCondor do with a job, as far as the scripts can see.
 SBATCH = """#!/bin/sh
@@ -32,11 +35,15 @@ SYSTEMS = {
 SIMULATE = ["simulate", "--photons", "3e5", "--seed", "2"]
 
 
-def run(*arguments: str, env=None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(SCRIPTS / "cluster.py"), *arguments]
-    return subprocess.run(
-        command, capture_output=True, text=True, timeout=100, env={**os.environ, **(env or {})}
-    )
+@pytest.fixture
+def run(capsys):
+    """The script in this process: exit status, standard output and error."""
+
+    def run(*arguments: object):
+        status = terminal.run(cluster.main, "cluster", [str(word) for word in arguments])
+        return status, *capsys.readouterr()
+
+    return run
 
 
 def eta_line(text: str) -> str:
@@ -45,46 +52,38 @@ def eta_line(text: str) -> str:
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_a_command_on_a_batch_system(system, scenes, tmp_path, mcrim):
+def test_a_command_on_a_batch_system(system, scenes, tmp_path, monkeypatch, mcrim, run):
     submit, content, cancel = SYSTEMS[system]
     for name, text in ((submit, content), (cancel, CANCEL)):
         (tmp_path / name).write_text(text)
         (tmp_path / name).chmod(0o755)
-    fake = {"FAKE": str(tmp_path), "PATH": f"{tmp_path}:{os.environ['PATH']}"}
-    done = run(
-        system,
-        *"--jobs 1 --cores 1 --memory 2GB --".split(),
-        *SIMULATE,
-        str(scenes / "camoo4.xml"),
-        env=fake,
-    )
+    monkeypatch.setenv("FAKE", str(tmp_path))
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    command = [*SIMULATE, scenes / "camoo4.xml"]
+    status, out, err = run(system, *"--jobs 1 --cores 1 --memory 2GB --".split(), *command)
     log = tmp_path / "job.out"
-    assert done.returncode == 0, done.stderr + (log.read_text() if log.exists() else "no job")
-    assert eta_line(done.stdout) == eta_line(mcrim.shown(*SIMULATE, scenes / "camoo4.xml"))
+    assert status == 0, err + (log.read_text() if log.exists() else "no job")
+    assert eta_line(out) == eta_line(mcrim.shown(*command))
 
 
-def test_without_a_batch_system_one_line(scenes):
-    done = run(
-        "slurm",
-        "--jobs",
-        "1",
-        "--",
-        *SIMULATE,
-        str(scenes / "camoo4.xml"),
-        env={"PATH": "/nowhere"},
-    )
+def test_without_a_batch_system_one_line(scenes, monkeypatch, run):
+    monkeypatch.setenv("PATH", "/nowhere")
     line = "cluster: there is no command sbatch here; run this where jobs can be submitted\n"
-    assert (done.returncode, done.stderr) == (2, line)
+    assert run("slurm", "--jobs", "1", "--", *SIMULATE, scenes / "camoo4.xml") == (2, "", line)
 
 
-def test_a_job_can_be_looked_at_beforehand():
-    done = run("slurm", "--show", "--cores", "3", "--queue", "short", "--", "paper")
-    assert done.returncode == 0
-    assert "#SBATCH -p short" in done.stdout and "--nworkers 3" in done.stdout
+def test_a_job_can_be_looked_at_beforehand(run):
+    status, out, _ = run(*"slurm --show --cores 3 --queue short -- paper".split())
+    assert status == 0 and "#SBATCH -p short" in out and "--nworkers 3" in out
 
 
-def test_a_command_on_this_machine(scenes):
-    done = run("local", "--workers", "1", "--", "check", str(scenes / "camoo4.xml"))
-    assert done.returncode == 2 and "--cluster" in done.stderr  # has no use for a cluster
-    done = run("local", "--workers", "1", "--", "mcrim", *SIMULATE, str(scenes / "camoo4.xml"))
+def test_a_command_on_this_machine(scenes, run):
+    words = "local", "--workers", "1", "--"
+    status, _, err = run(*words, "check", scenes / "camoo4.xml")
+    assert status == 2 and "--cluster" in err  # has no use for a cluster
+    # as a program
+    line = [sys.executable, SCRIPTS / "cluster.py", *words, "mcrim", *SIMULATE]
+    done = subprocess.run(
+        [*line, scenes / "camoo4.xml"], capture_output=True, text=True, timeout=100
+    )
     assert done.returncode == 0 and eta_line(done.stdout), done.stderr
