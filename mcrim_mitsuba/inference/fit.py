@@ -147,11 +147,11 @@ def result_of(minima: list[Minimum], *, profile: bool) -> Calibration:
     of_rows = np.zeros((len(best.names), len(statistic.used)))
     of_rows[:, statistic.used] = best.response
     assert prediction.eta_sigma is not None  # checked
-    parameters, notes_of_intervals = estimates(best), list[str]()
     if profile and best.names:
         parameters, notes_of_intervals = _with_intervals(best)
     else:
-        parameters = {n: replace(e, lower=None, upper=None) for n, e in parameters.items()}
+        known, notes_of_intervals = estimates(best).items(), []
+        parameters = {n: replace(e, lower=None, upper=None) for n, e in known}
     fit = Calibration(
         parameters=parameters,
         fixed=held(campaign),
@@ -224,10 +224,8 @@ def _checked_prediction(best: Minimum) -> Prediction:
     try:
         return model.predict(best.theta, check=True, covariance=True)
     except InputError as error:
-        problem, mend = (
-            f"the fit ended where the simulation says too little: {error.problem}",
-            f"the readings do not fit this bench; mcrim compare {model.campaign.path} shows which",
-        )
+        problem = f"the fit ended where the simulation says too little: {error.problem}"
+        mend = f"the readings do not fit this bench; mcrim compare {model.campaign.path} shows it"
         if wish := _wish(best):
             problem, mend = f"{wish}, and there {error.problem}", _SWAPPED
         mend = _lost_point(model, model.predict(best.theta)) or mend
@@ -237,8 +235,8 @@ def _checked_prediction(best: Minimum) -> Prediction:
 def _with_intervals(best: Minimum) -> tuple[dict[str, ParameterEstimate], list[str]]:
     """Estimates with the intervals that their profiles tell, and notes on these.
 
-    A note tells of an interval that a bound cuts off, or that ends where the simulation says too
-    little.
+    Notes tell of intervals that a bound cuts off, or that end where the simulation says too little,
+    and of those that are wider than the errors.
     """
     parameters, notes = estimates(best), list[str]()
     model, bounds_of = best.statistic.model, {p.name: p for p in best.statistic.free}
@@ -261,6 +259,13 @@ def _with_intervals(best: Minimum) -> tuple[dict[str, ParameterEstimate], list[s
                         f"the interval of {profile.name} ends at {end:g}, but {error.problem}"
                     )
         parameters[profile.name] = replace(parameters[profile.name], lower=lower, upper=upper)
+    for name, of in parameters.items() if any(best.at_bound) else ():
+        if of.lower is None or of.upper is None or of.at_bound is not None:
+            continue
+        # what a parameter does may be at its least at the bound that stops it
+        if of.upper - of.lower > FIT_NOTES.wide * 2.0 * of.sigma:
+            what = f"the error of {name} is too small beside a parameter at its bound"
+            notes.append(f"{what}: quote its interval, {of.lower:.3g} to {of.upper:.3g}")
     return parameters, notes
 
 
@@ -396,10 +401,12 @@ def _notes_of_likeness(model: Model, prediction: Prediction) -> Iterator[str]:
     """Which readings that differ in one column are predicted alike: it changes nothing there."""
     rows = sorted(zip(prediction.eta.tolist(), model.readings, strict=True), key=lambda row: row[0])
     for (eta, first), (other_eta, second) in itertools.pairwise(rows):
-        of, of_other = first.parameters, second.parameters
+        of, of_other = ({**model.campaign.values, **row.parameters} for row in (first, second))
         columns = [n for n in model.campaign.measurements.columns if of.get(n) != of_other.get(n)]
-        if other_eta - eta <= FIT_NOTES.alike * other_eta and len(columns) == 1:
-            values = (short_text(where.get(columns[0])) for where in (of, of_other))
+        # other crystals may be alike by chance
+        one_crystal = first.sample == second.sample
+        if one_crystal and other_eta - eta <= FIT_NOTES.alike * other_eta and len(columns) == 1:
+            values = (short_text(where[columns[0]]) for where in (of, of_other))
             yield (
                 f"{columns[0]} {' and '.join(values)} change nothing here: the model predicts the "
                 f"same of {first.label} and {second.label}, to 1 in {1.0 / FIT_NOTES.alike:.0f}"
