@@ -197,7 +197,7 @@ _OF_GAMMAS = ("source_depth", "side_depth")
 #: In names of what is thin by nature.
 THIN = ("gap", "film", "chamfer", *_OF_GAMMAS)
 #: Lengths that may be 0: then the part is not there.
-_MAY_BE_ZERO = ("chamfer", "film", "rim")
+_MAY_BE_ZERO = ("chamfer", "collar", "film", "rim")
 #: Ranges in which parameters of effects have a meaning (the catalogue's are narrower).
 MEANINGFUL = {
     "scattering_g": (-0.999, 0.999),

@@ -230,6 +230,15 @@ def test_other_encodings_are_refused(tmp_path, bench):
     assert "only scenes in UTF-8 can be edited" in refusal(add, "source_depth", read_scene(path))
 
 
+@pytest.mark.parametrize("name", EDITS)
+def test_a_scene_with_an_effect_takes_its_absence(bench, name):
+    """What repair wrote with a collar of liquid was refused: it would be 0 mm high without it."""
+    scene = bench.edited(add(name, bench))
+    sizes = [p for p in KNOWN[name].parameters if p.nominal is None and p.absent is not None]
+    without = scene.with_overrides({p.name: f"{p.absent}" for p in sizes}).parameters
+    assert [without[p.name] for p in sizes] == [p.absent for p in sizes]
+
+
 @pytest.mark.parametrize("file", ["camoo4_thin.xml", "camoo4_wrapped.xml", "cawo4.xml"])
 def test_scenes_that_include_the_bench_take_effects_too(scenes, file):
     scene = read_scene(scenes / file)
