@@ -235,8 +235,8 @@ def _checked_prediction(best: Minimum) -> Prediction:
 def _with_intervals(best: Minimum) -> tuple[dict[str, ParameterEstimate], list[str]]:
     """Estimates with the intervals that their profiles tell, and notes on these.
 
-    Notes tell of intervals that a bound cuts off, or that end where the simulation says too little,
-    and of those that are wider than the errors.
+    A note tells of an interval that a bound cuts off, or that ends where the simulation says too
+    little.
     """
     parameters, notes = estimates(best), list[str]()
     model, bounds_of = best.statistic.model, {p.name: p for p in best.statistic.free}
@@ -259,13 +259,6 @@ def _with_intervals(best: Minimum) -> tuple[dict[str, ParameterEstimate], list[s
                         f"the interval of {profile.name} ends at {end:g}, but {error.problem}"
                     )
         parameters[profile.name] = replace(parameters[profile.name], lower=lower, upper=upper)
-    for name, of in parameters.items() if any(best.at_bound) else ():
-        if of.lower is None or of.upper is None or of.at_bound is not None:
-            continue
-        # what a parameter does may be at its least at the bound that stops it
-        if of.upper - of.lower > FIT_NOTES.wide * 2.0 * of.sigma:
-            what = f"the error of {name} is too small beside a parameter at its bound"
-            notes.append(f"{what}: quote its interval, {of.lower:.3g} to {of.upper:.3g}")
     return parameters, notes
 
 

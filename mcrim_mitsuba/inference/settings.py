@@ -116,8 +116,6 @@ class FitNotes:
     two_apart: float = 1.8
     #: Relative difference of predictions below which what tells two readings apart changes nothing.
     alike: float = 1e-4
-    #: An interval that is so many times as wide as an error says is to be quoted in its place.
-    wide: float = 1.5
     #: Part of alpha_scat's range, in its logarithm, next to an end that counts as being there.
     edge: float = 0.03
 

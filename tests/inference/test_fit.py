@@ -668,30 +668,6 @@ def test_a_bound_that_stops_the_fit_is_named(campaign):
     )
 
 
-def test_an_error_beside_a_parameter_at_its_bound_is_not_to_be_quoted(campaign):
-    """Its own action is none there: of 300 draws 30 % were within an error that was told so."""
-
-    def surfaces(parameters):
-        n = parameters["n_gap"]
-        powers = {
-            1.0: lambda s, a: 0.0,
-            1.3: lambda s, a: s - 9 * (a + 1e-3) ** 2,
-            1.46: lambda s, a: 0.1 * s,
-        }
-        return FormulaSurface(lambda s, a: 0.3 * math.exp(-powers[n](s, a)))
-
-    rows = "label,signal,sigma,n_gap\nair,15,0.01,1\nwater,9.1,0.1,1.3\ngel,14.4,0.3,1.46\n"
-    bounds = "[parameters.alpha_abs_per_cm]\nmin = 0.0\nmax = 0.3\n"
-    result = fit_campaign(campaign(ALPHA + bounds, rows), surfaces)
-    scattering = result.parameters[ALPHA_SCAT]
-    assert result.parameters[ALPHA_ABS].at_bound == "min"
-    assert scattering.upper > scattering.value + 3 * scattering.sigma
-    assert any("the error of alpha_scat_per_cm is too small beside" in n for n in result.notes)
-    # nothing of the kind away from bounds
-    inside = fit_campaign(campaign(ALPHA, TWO), couplings())
-    assert not any("too small" in note for note in inside.notes)
-
-
 def test_what_rounding_leaves_beside_a_bound_is_the_bound(campaign):
     """A chamfer of 2e-14 mm was written into a scene, which refused it."""
     gap = "[parameters.gap_mm]\nstart = 0.05\nmin = 0.0\nmax = 0.2\nprior = 0.1\n"
