@@ -17,6 +17,7 @@ from validate.benches import home
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import judge
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import (
     BUILT_IN,
@@ -230,13 +231,11 @@ def test_other_encodings_are_refused(tmp_path, bench):
     assert "only scenes in UTF-8 can be edited" in refusal(add, "source_depth", read_scene(path))
 
 
-@pytest.mark.parametrize("name", EDITS)
-def test_a_scene_with_an_effect_takes_its_absence(bench, name):
+def test_a_scene_with_an_effect_takes_its_absence():
     """What repair wrote with a collar of liquid was refused: it would be 0 mm high without it."""
-    scene = bench.edited(add(name, bench))
-    sizes = [p for p in KNOWN[name].parameters if p.nominal is None and p.absent is not None]
-    without = scene.with_overrides({p.name: f"{p.absent}" for p in sizes}).parameters
-    assert [without[p.name] for p in sizes] == [p.absent for p in sizes]
+    sizes = [p for effect in KNOWN.values() for p in effect.parameters if p.nominal is None]
+    absent = {p.name: p.absent for p in sizes if p.absent is not None}
+    assert not {name: judge(name, value) for name, value in absent.items() if judge(name, value)}
 
 
 @pytest.mark.parametrize("file", ["camoo4_thin.xml", "camoo4_wrapped.xml", "cawo4.xml"])
