@@ -39,7 +39,8 @@ _CALLED = {
     "n_window": "window index",
     "aperture_radius_mm": "mask radius",
 }
-_UNITS = {"_per_cm": "1/cm", "_deg": "degrees"} | {f"_{u}": u for u in ("mm", "nm", "ps", "keV")}
+_UNITS = {"_per_cm": "1/cm", "_deg": "degrees", "_ph_per_keV": "ph/keV"}
+_UNITS |= {f"_{unit}": unit for unit in ("mm", "nm", "ps", "keV")}
 #: Longer ones are floats: Mitsuba's integers have 64 bits.
 INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 # Mitsuba's own grammar of a number; Python's float() would also take 1_0 and nan
