@@ -156,6 +156,12 @@ class Campaign:
         return yields
 
     @property
+    def energies_keV(self) -> dict[str, float]:
+        """Of the lines that scales refer to, where the file says it."""
+        own = {} if self.light_yield is None else {SCALE: self.light_yield.energy_keV}
+        return own | {s.named(SCALE): s.energy_keV for s in self.samples.values() if s.energy_keV}
+
+    @property
     def varied(self) -> tuple[str, ...]:
         """Scene parameters that differ from reading to reading, by row or by sample."""
         of_samples = (name for sample in self.samples.values() for name in sample.scene)
@@ -405,8 +411,7 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
 
 def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:
     """Refuse what no fit could determine, and a spectrum of several crystals."""
-    energies = [of.energy_keV for _, of in campaign.light_yields.values()]
-    campaign.measurements.refuse_other_units(energies)
+    campaign.measurements.refuse_other_units(campaign.energies_keV.values())
     # fitted scales of which no reading in use says anything
     used = campaign.measurements.in_use
     read = {campaign.parameter_of(r, SCALE) for r in used if not r.of_beam}

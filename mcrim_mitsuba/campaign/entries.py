@@ -82,6 +82,10 @@ def _number(meaning: str, **limits: float) -> dict[str, Any]:
     return {"type": "number", "description": meaning, **limits}
 
 
+def _share(meaning: str) -> dict[str, Any]:
+    return _number(meaning, minimum=0, exclusiveMaximum=1)
+
+
 def _words(meaning: str) -> dict[str, Any]:
     return {"type": "string", "minLength": 1, "maxLength": LONGEST_WORDS, "description": meaning}
 
@@ -124,9 +128,7 @@ TRANSMITTANCE: Entries = {
             {"type": "number", "exclusiveMinimum": 0, "exclusiveMaximum": 1},
         ],
     },
-    "transmittance_sigma": _number(
-        "Standard error that all readings share, a fraction of full transmission", minimum=0
-    ),
+    "transmittance_sigma": _share("Error that all readings share, a part of full transmission"),
     "thickness_mm": _number("Thickness of the sample, mm", exclusiveMinimum=0),
     "thickness_sigma_mm": _number("Standard error of the thickness, mm", minimum=0),
     "n": {
@@ -170,19 +172,13 @@ DETECTOR: Entries = {
         "the window reflects",
     },
     COLLECTION: _number("Part of photoelectrons that is counted", exclusiveMinimum=0, maximum=1),
-    COLLECTION_SIGMA: _number("Standard error of the collection efficiency", minimum=0),
+    COLLECTION_SIGMA: _share("Standard error of the collection efficiency"),
     CROSSTALK: _number(
-        "Of a silicon photomultiplier: probability that a cell fires others at once",
-        minimum=0,
-        exclusiveMaximum=0.6,
+        "Probability that a cell of an SiPM fires others at once", minimum=0, exclusiveMaximum=0.6
     ),
-    f"{CROSSTALK}_sigma": _number("Its standard error", minimum=0),
-    AFTERPULSING: _number(
-        "Mean number of afterpulses of a cell that fired, within the integration",
-        minimum=0,
-        exclusiveMaximum=1,
-    ),
-    f"{AFTERPULSING}_sigma": _number("Its standard error", minimum=0),
+    f"{CROSSTALK}_sigma": _share("Its standard error"),
+    AFTERPULSING: _share("Mean number of afterpulses of a fired cell, within the integration"),
+    f"{AFTERPULSING}_sigma": _share("Its standard error"),
 }
 #: Of ``[light_yield]`` of a campaign with samples.
 SHARED: Entries = {
@@ -203,9 +199,7 @@ KNOWN: Entries = {
 EFFICIENCY: Entries = {
     "emission": _file("Emission spectrum of the crystal"),
     "quantum_efficiency": _file("Quantum efficiency of the detector by wavelength"),
-    "quantum_efficiency_scale_sigma": _number(
-        "Relative error of the whole efficiency curve", minimum=0, exclusiveMaximum=1
-    ),
+    "quantum_efficiency_scale_sigma": _share("Relative error of the whole efficiency curve"),
 }
 #: Of ``[samples.NAME]``.
 SAMPLE: Entries = {
@@ -250,7 +244,7 @@ CALIBRATION: Entries = {
 }
 #: Of ``[calibration]``: errors that all readings of light share, which the above make.
 COMMON: Entries = {
-    SCALE_SIGMA: _number("Relative error of the scale of all readings of light", minimum=0),
+    SCALE_SIGMA: _share("Relative error of the scale of all readings of light"),
     OFFSET_SIGMA: _number("Error of what is subtracted of all of them, in their unit", minimum=0),
     "nonlinearity_sigma": _number("Error of their nonlinearity, one over their unit", minimum=0),
 }
@@ -358,10 +352,7 @@ _ERROR = "give a standard error"
 _BETWEEN = "is not between 0 and 1"
 #: What is wrong with a number beyond its limits, and how to mend it.
 _BEYOND = {
-    "prior_sigma": (
-        "is not above 0",
-        "give the prior's standard error, or fixed = true to hold the parameter",
-    ),
+    "prior_sigma": ("is not above 0", "give the prior's standard error, or fixed = true"),
     "transmittance": (_BETWEEN, "give a fraction: 0.76 for 76 %"),
     "thickness_sigma_mm": ("is below 0", _ERROR),
     "n": ("is below 1", "a solid has an index above 1"),
@@ -385,9 +376,11 @@ _BEYOND = {
     "live_time_s": ("is not above 0", "give seconds"),
     "dead_time_us": ("is below 0", "give microseconds"),
 }
+_SHARE = "is below 0 or above 1", "give a fraction: 0.03 for 3 %"
 _BEYOND |= {
-    name: ("is below 0", _ERROR)
-    for name in (*TRANSMITTANCE, *YIELD, *DETECTOR, *CALIBRATION, *COMMON)
+    name: _SHARE if "exclusiveMaximum" in entry else ("is below 0", _ERROR)
+    for part in (TRANSMITTANCE, YIELD, DETECTOR, CALIBRATION, COMMON)
+    for name, entry in part.items()
     if name.endswith("_sigma")
 }
 

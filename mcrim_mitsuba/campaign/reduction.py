@@ -177,7 +177,7 @@ def _mounting(
     calibration: ChannelCalibration | None,
 ) -> Mounting:
     """A row's histogram with the peak that was fitted in it."""
-    file, below = row.histogram, replace(below, energy_keV=row.energy_keV or below.energy_keV)
+    file = row.histogram
     assert file is not None
     histogram = read_photons(file, calibration)
     try:
@@ -260,8 +260,15 @@ def reduce_raw_data(
     absorption = raw_data.read_absorption(document, light, scene)
     source_depth = raw_data.read_source_depth(document)
     calibration = read_calibration(document)
-    raw_rows = (row for row in table.readings if row.histogram is not None)
-    mountings = {row.line: _mounting(table, row, shape, below, calibration) for row in raw_rows}
+    energies = {
+        name: document.table(f"{schema.SAMPLES}.{name}.{schema.YIELD_TABLE}").number("energy_keV")
+        for name in document.table(schema.SAMPLES)
+    }
+    mountings = {}
+    for row in (row for row in table.readings if row.histogram is not None):
+        energy = row.energy_keV or energies.get(row.sample) or below.energy_keV
+        asked = replace(below, energy_keV=energy)
+        mountings[row.line] = _mounting(table, row, shape, asked, calibration)
     readings, reduced = [], {}
     for label, rows in table.by_label.items():
         reading = rows[0]
@@ -278,8 +285,8 @@ def reduce_raw_data(
     measurements = table.with_readings(_sharing(readings, reduced))
     if not (reduced or efficiency or absorption or source_depth):
         return raw_data.with_numbers(document, {}), measurements, None
-    names = [source_depth and source_depth.formula]
-    names.append(document.table(f"parameters.{ALPHA_ABS}").get("n"))
+    of_slab = document.table(f"parameters.{ALPHA_ABS}").get("n")
+    names = source_depth and source_depth.formula, of_slab
     material = next((n for n in names if isinstance(n, str) and is_known(n)), None)
     raw = RawData(
         reduced, efficiency, absorption, source_depth, material=material, calibration=calibration
@@ -290,8 +297,7 @@ def reduce_raw_data(
 
 def _numbers(document: TomlDocument, raw: RawData) -> dict[str, float]:
     """What a plain campaign has in the place of raw entries."""
-    numbers: dict[str, float] = {}
-    priors = []
+    numbers, priors = dict[str, float](), []
     if raw.absorption is not None:
         priors.append((ALPHA_ABS, raw.absorption.alpha_abs_per_cm, raw.absorption.sigma))
     if raw.source_depth is not None:

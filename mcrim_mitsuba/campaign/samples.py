@@ -53,6 +53,8 @@ class Sample:
     #: What turns its own scale into a light yield; None where nothing does, and of a reference,
     #: whose light yield is known.
     light_yield: LightYieldInput | None = None
+    #: Of the line that its own scale refers to, a reference's too; None where nothing says it.
+    energy_keV: float | None = None
 
     def named(self, name: str) -> str:
         """The parameter that stands for one of the campaign's own crystal: the same if shared."""
@@ -149,9 +151,10 @@ def _read_sample(
         own[of] = replace(parameter, name=own_name(of, name))
     table = document.table(f"{key}.{schema.YIELD_TABLE}")
     detector = read_detector(document, scene, measurements)
-    light_yield = read_light_yield(document, detector, table.key, schema.SAMPLE)
+    light_yield, energy = read_light_yield(document, detector, table.key, schema.SAMPLE), None
     if light_yield is not None:
         own.setdefault(SCALE, _scale(name, measurements))
+        energy = light_yield.energy_keV
         if (of_known := _known_scale(table, light_yield)) is not None:
             if own[SCALE].fixed or own[SCALE].prior is not None:
                 problem = "its scale is known twice: by its light yield, and in parameters.scale"
@@ -159,7 +162,7 @@ def _read_sample(
             at, sigma = of_known
             own[SCALE] = replace(own[SCALE], start=at, prior=at, prior_sigma=sigma)
             light_yield = None
-    return Sample(name, _read_scene(document, key, scene), own, light_yield)
+    return Sample(name, _read_scene(document, key, scene), own, light_yield, energy)
 
 
 def _scale(sample: str, measurements: Measurements) -> CampaignParameter:

@@ -39,7 +39,8 @@ _CALLED = {
     "n_window": "window index",
     "aperture_radius_mm": "mask radius",
 }
-_UNITS = {"_per_cm": "1/cm", "_deg": "degrees"} | {f"_{u}": u for u in ("mm", "nm", "ps", "keV")}
+_UNITS = {"_per_cm": "1/cm", "_deg": "degrees", "_ph_per_keV": "ph/keV"}
+_UNITS |= {f"_{unit}": unit for unit in ("mm", "nm", "ps", "keV")}
 #: Longer ones are floats: Mitsuba's integers have 64 bits.
 INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 # Mitsuba's own grammar of a number; Python's float() would also take 1_0 and nan
@@ -197,7 +198,7 @@ _OF_GAMMAS = ("source_depth", "side_depth")
 #: In names of what is thin by nature.
 THIN = ("gap", "film", "chamfer", *_OF_GAMMAS)
 #: Lengths that may be 0: then the part is not there.
-_MAY_BE_ZERO = ("chamfer", "film", "rim")
+_MAY_BE_ZERO = ("chamfer", "collar", "film", "rim")
 #: Ranges in which parameters of effects have a meaning (the catalogue's are narrower).
 MEANINGFUL = {
     "scattering_g": (-0.999, 0.999),

@@ -54,8 +54,8 @@ class FittedRow:
     #: Predicted signal and its Monte Carlo standard error.
     model: float
     model_sigma: float
-    #: (measured - model) over the square root of the variances of reading, mounting and
-    #: Monte Carlo, added.
+    #: (measured - model) over the square root of the variances of reading, mounting, calibration
+    #: of channels and Monte Carlo, added.
     pull: float
     #: Light collection efficiency and its Monte Carlo standard error.
     eta: float
@@ -209,12 +209,13 @@ def fitted_rows(
     model: Model, prediction: Prediction, eta_sigmas: Sequence[float]
 ) -> tuple[FittedRow, ...]:
     """Every reading beside its prediction; `eta_sigmas` are eta's Monte Carlo standard errors."""
-    rows = []
+    rows, of_light = [], np.array([not reading.of_beam for reading in model.readings])
+    by_channels = model.campaign.common_errors.moved(prediction.signal, of_light)
     for i, reading in enumerate(model.readings):
         signal, eta_sigma = float(prediction.signal[i]), float(eta_sigmas[i])
         model_sigma = abs(float(prediction.signal_per_eta[i])) * eta_sigma
         of_group = (reading.group_sigma or 0.0) * signal
-        spread = math.hypot(reading.sigma, of_group, model_sigma, *reading.shared)
+        spread = math.hypot(reading.sigma, of_group, model_sigma, *reading.shared, *by_channels[i])
         cells = model.campaign.cells(reading).items()
         rows.append(
             FittedRow(

@@ -147,11 +147,11 @@ def result_of(minima: list[Minimum], *, profile: bool) -> Calibration:
     of_rows = np.zeros((len(best.names), len(statistic.used)))
     of_rows[:, statistic.used] = best.response
     assert prediction.eta_sigma is not None  # checked
-    parameters, notes_of_intervals = estimates(best), list[str]()
     if profile and best.names:
         parameters, notes_of_intervals = _with_intervals(best)
     else:
-        parameters = {n: replace(e, lower=None, upper=None) for n, e in parameters.items()}
+        known, notes_of_intervals = estimates(best).items(), []
+        parameters = {n: replace(e, lower=None, upper=None) for n, e in known}
     fit = Calibration(
         parameters=parameters,
         fixed=held(campaign),
@@ -224,10 +224,8 @@ def _checked_prediction(best: Minimum) -> Prediction:
     try:
         return model.predict(best.theta, check=True, covariance=True)
     except InputError as error:
-        problem, mend = (
-            f"the fit ended where the simulation says too little: {error.problem}",
-            f"the readings do not fit this bench; mcrim compare {model.campaign.path} shows which",
-        )
+        problem = f"the fit ended where the simulation says too little: {error.problem}"
+        mend = f"the readings do not fit this bench; mcrim compare {model.campaign.path} shows it"
         if wish := _wish(best):
             problem, mend = f"{wish}, and there {error.problem}", _SWAPPED
         mend = _lost_point(model, model.predict(best.theta)) or mend
@@ -396,10 +394,12 @@ def _notes_of_likeness(model: Model, prediction: Prediction) -> Iterator[str]:
     """Which readings that differ in one column are predicted alike: it changes nothing there."""
     rows = sorted(zip(prediction.eta.tolist(), model.readings, strict=True), key=lambda row: row[0])
     for (eta, first), (other_eta, second) in itertools.pairwise(rows):
-        of, of_other = first.parameters, second.parameters
+        of, of_other = ({**model.campaign.values, **row.parameters} for row in (first, second))
         columns = [n for n in model.campaign.measurements.columns if of.get(n) != of_other.get(n)]
-        if other_eta - eta <= FIT_NOTES.alike * other_eta and len(columns) == 1:
-            values = (short_text(where.get(columns[0])) for where in (of, of_other))
+        # other crystals may be alike by chance
+        one_crystal = first.sample == second.sample
+        if one_crystal and other_eta - eta <= FIT_NOTES.alike * other_eta and len(columns) == 1:
+            values = (short_text(where[columns[0]]) for where in (of, of_other))
             yield (
                 f"{columns[0]} {' and '.join(values)} change nothing here: the model predicts the "
                 f"same of {first.label} and {second.label}, to 1 in {1.0 / FIT_NOTES.alike:.0f}"

@@ -139,7 +139,7 @@ def _energy_ratios(campaign: Campaign) -> Array:
     """(readings,) energies over that which each row's scale refers to; 1 where none is told."""
     rows = campaign.measurements.readings
     told = [row.energy_keV for row in rows if row.energy_keV is not None]
-    known = {scale: of.energy_keV for scale, (_, of) in campaign.light_yields.items()}
+    known = campaign.energies_keV
     return np.array(
         [
             1.0

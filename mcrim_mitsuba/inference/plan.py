@@ -298,8 +298,7 @@ def _doubt(fit: Calibration) -> Iterator[str]:
         )
     for name, estimate in fit.parameters.items():
         if estimate.at_bound is not None:
-            at_bound = f"the campaign's own fit ended with {name} at its bound"
-            yield f"{at_bound}: the plans start from there"
+            yield f"the campaign's own fit ended with {name} at its bound: plans start from there"
 
 
 def _rehearsed(planning: Planning, proposed: Campaign, fit: Calibration, run: Run) -> Planning:
@@ -443,15 +442,19 @@ class Expectation:
             candidates.append(PlanCandidate(dict(cells), signal, event, name))
         self.candidates = tuple(candidates)
         self._fit, self._scatter = fit, conditions.mounting_scatter
-        # offsets of the bench's numbers, in their tolerances, are parameters with priors
+        # offsets of the bench's numbers, in their tolerances, are parameters with priors, and so is
+        # what the calibration of channels moves all readings of light by, old and new
+        common = campaign.common_errors
+        shifted = common.moved(prediction.signal, np.ones(len(candidates), bool))
+        of_channels = ("pedestal", common.offset_sigma), ("nonlinearity", common.nonlinearity_sigma)
         numbers = [PRIOR + number.tolerance.number.words for number in fit.offsets]
-        per_eta = prediction.signal_per_eta / prediction.signal
-        moved = np.zeros((len(candidates), len(numbers)))
+        numbers += [PRIOR + name for name, sigma in of_channels if sigma]
+        moved = np.zeros((len(candidates), len(fit.offsets)))
         if prediction.eta_of_tolerances is not None:
-            moved = per_eta[:, None] * prediction.eta_of_tolerances
+            moved = prediction.signal_per_eta[:, None] * prediction.eta_of_tolerances
         # (candidates, free + numbers) d log(signal) / d parameter
-        slopes = prediction.signal_slopes / prediction.signal[:, None]
-        self._slopes = np.hstack([slopes, moved])
+        moved = np.hstack([prediction.signal_slopes, moved, shifted])
+        self._slopes = moved / prediction.signal[:, None]
         self._names = (*fit.names, *numbers)
         statistic = fit.minimum.statistic
         priors = np.diag([*np.sqrt(statistic.prior_weight), *np.ones(len(numbers))])
@@ -463,20 +466,17 @@ class Expectation:
         }
         # transmittances are not measured again: what they told goes on, like priors
         beams = np.array([reading.of_beam for reading in fit.model.readings if reading.use])
-        errors = fit.minimum.weights.errors
-        measured = np.hstack([fit.minimum.slopes, errors.tolerances])
-        relative = measured / np.sqrt(statistic.variance)[:, None]
-        self._known |= {
-            PRIOR + label: row[None]
-            for label, row, of_beam in zip(statistic.labels, relative, beams, strict=True)
-            if of_beam
-        }
+        errors, none = fit.minimum.weights.errors, np.zeros((len(beams), 0))
+        of_common, others = np.split(errors.pedestal, [shifted.shape[1]], axis=1)
+        measured = np.hstack([fit.minimum.slopes, errors.tolerances, of_common])
+        # the simulation's errors count as none, the offsets are parameters here
+        weights = Weights(replace(errors, simulated=none, tolerances=none, pedestal=others))
+        rows = weights.whiten((measured * (beams | counted)[:, None]).T).T
+        named = zip(statistic.labels, rows, beams, strict=True)
+        self._known |= {PRIOR + label: row[None] for label, row, of_beam in named if of_beam}
         self._counted = counted
         if counted:
-            # the simulation's errors count as none, the numbers' offsets are parameters here
-            none = np.zeros((len(beams), 0))
-            weights = Weights(replace(errors, simulated=none, tolerances=none))
-            self._known[SO_FAR] = weights.whiten((measured * ~beams[:, None]).T).T
+            self._known[SO_FAR] = rows[~beams]
 
     def determined(self, chosen: Sequence[int]) -> bool:
         """Whether these configurations, and the priors, determine all parameters."""

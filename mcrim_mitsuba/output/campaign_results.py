@@ -42,8 +42,7 @@ class FittedParameter(ParameterEstimate):
         return self.value
 
     def __str__(self) -> str:
-        unit = "ph/keV" if self.name == LIGHT_YIELD else unit_of(self.name)
-        return " ".join(filter(None, (sentences.estimate_text(self), unit)))
+        return " ".join(filter(None, (sentences.estimate_text(self), unit_of(self.name))))
 
     def __repr__(self) -> str:
         return f"<{self.name} = {self}>"

@@ -330,10 +330,9 @@ def _attributes(name: str) -> dict[str, str]:
     ending = next((end for end in ENDINGS if name.endswith(end)), "")
     quantity, what = name.removesuffix(ending), ENDINGS.get(ending, "")
     meaning = _MEANINGS.get(quantity, quantity if what else "")
-    unit = "1/keV" if quantity == LIGHT_YIELD else unit_of(quantity)
-    unit = unit or ("1" if quantity in _MEANINGS else None)
+    unit = unit_of(quantity) or ("1" if quantity in _MEANINGS else "")
     attributes = {"long_name": " of ".join(filter(None, (what, meaning)))}
-    attributes["units"] = "" if ending == AT_BOUND else unit or ""
+    attributes["units"] = "" if ending == AT_BOUND else unit.replace("ph/", "1/")
     return {attribute: text for attribute, text in attributes.items() if text}
 
 

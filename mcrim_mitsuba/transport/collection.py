@@ -122,12 +122,7 @@ class Launcher:
         return launch
 
     def launches(
-        self,
-        photons: int,
-        *,
-        first: int = FIRST_LAUNCH,
-        precision: float | None = None,
-        **options,
+        self, photons: int, *, first: int = FIRST_LAUNCH, precision: float | None = None, **options
     ) -> Iterator[loop.Launch]:
         """Launches until so many photons are followed, the `first` of another size.
 

@@ -272,6 +272,14 @@ def test_steps_and_escape_lines_are_asked_for_by_the_campaign(folder, mcrim, tmp
     ]
     first = campaign.raw.readings["air"].mountings[0].peak
     assert peak["centroid"] == pytest.approx(first.centroid) and peak["step"] >= 0
+    # of a sample's own line
+    of_sample = "energy_keV = 122\ndetector_efficiency = 0.2\n"
+    text = path.read_text() + f"[samples.other.light_yield]\n{of_sample}"
+    table = "label,sample,histogram,n_gap\nair,,air_1.csv,1.00\ngel,,gel_1.csv,1.46\n"
+    (folder / "of_two.csv").write_text(table + "other,other,gel_2.csv,1.46\n")
+    (folder / "of_two.toml").write_text(text.replace("mountings.csv", "of_two.csv"))
+    (other,) = read_campaign(folder / "of_two.toml").raw.readings["other"].mountings
+    assert [line.kept for line in other.peak.lines] == pytest.approx([1 - 17.4 / 122, 1 - 60 / 122])
     path.write_text(path.read_text().replace("energy_keV = 59.5", ""))
     assert "escape lines without the energy of the peak" in refusal(read_campaign, path)
 

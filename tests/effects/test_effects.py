@@ -17,6 +17,7 @@ from validate.benches import home
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import judge
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import (
     BUILT_IN,
@@ -221,6 +222,13 @@ def test_scenes_on_one_line_and_without_defaults(bench, tmp_path):
     flat = read_scene(path)
     for name in EDITS:
         assert meaning(flat.edited(add(name, flat))) == meaning(added(bench, name)), name
+
+
+def test_a_scene_with_an_effect_takes_its_absence():
+    """What repair wrote with a collar of liquid was refused: it would be 0 mm high without it."""
+    sizes = [p for effect in KNOWN.values() for p in effect.parameters if p.nominal is None]
+    absent = {p.name: p.absent for p in sizes if p.absent is not None}
+    assert not {name: judge(name, value) for name, value in absent.items() if judge(name, value)}
 
 
 @pytest.mark.parametrize("file", ["camoo4_thin.xml", "camoo4_wrapped.xml", "cawo4.xml"])

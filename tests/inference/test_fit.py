@@ -19,6 +19,7 @@ from refusals import refusal
 from scipy import optimize, stats
 from trials.surface_model import CampaignModel, InterpolatedSurface, RecordSurface, axes_for
 
+from mcrim_mitsuba.campaign.calibration import CommonErrors
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
@@ -759,6 +760,27 @@ def test_masks_and_gaps_that_change_nothing_are_told(campaign):
     assert told == (
         "gap_mm 0.05 and 0.02 change nothing here: the model predicts the same of gel and gel 2, "
         "to 1 in 10000"
+    )
+    # an empty cell of a sample is the scene's value; what is alike of two crystals is chance
+    table = table.replace("label,", "label,sample,").replace(",20,", ",,20,")
+    table += "b,b,20,1,1.46,\nb 2,b,20,1,1.46,0.02\n"
+    samples = (
+        "[samples.b.parameters.alpha_scat_per_cm]\nstart = 0.5\n[parameters.scale]\nstart = 50\n"
+    )
+    notes = fit_campaign(campaign(ALPHA + samples, table), surfaces, profile=False).notes
+    told = [note.split(": ")[1] for note in notes if "change nothing" in note]
+    pairs = ("gel and gel 2", "b and b 2")
+    assert told == [f"the model predicts the same of {pair}, to 1 in 10000" for pair in pairs]
+
+
+def test_pulls_are_over_what_a_common_pedestal_moves(campaign):
+    """Where all readings were shifted by it, chi2 was 5 of 5 beside pulls of 19."""
+    read = campaign(ALPHA + FIXED_SCALE.replace("1.0", "50.0"))
+    shifted = dataclasses.replace(read, common_errors=CommonErrors(offset_sigma=3.0))
+    rows = fit_campaign(shifted, couplings(), profile=False).rows
+    assert all(abs(row.measured - row.model) > row.sigma for row in rows)
+    assert [row.pull for row in rows] == pytest.approx(
+        [(row.measured - row.model) / math.hypot(row.sigma, 3.0) for row in rows]
     )
 
 

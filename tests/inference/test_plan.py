@@ -12,6 +12,7 @@ from refusals import refusal
 from scipy import stats
 from trials.surface_model import CampaignModel, RecordSurface
 
+from mcrim_mitsuba.campaign.calibration import CommonErrors
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import InputError
@@ -32,6 +33,7 @@ from mcrim_mitsuba.inference.plan import (
 )
 from mcrim_mitsuba.inference.settings import REHEARSALS
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.inference.statistic import ErrorMatrices
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 from mcrim_mitsuba.output.sentences import rehearsal_text, verdict
@@ -169,9 +171,14 @@ def test_expected_errors_are_the_fit_s_own(article, without_photons):
             assert ours == pytest.approx(theirs / light.value, rel=1e-3)
 
 
-def test_readings_so_far_count(article, without_photons):
-    """A plan began anew, as if nothing had been measured: the errors were those of its own rows."""
+@pytest.mark.parametrize("of_channels", [{}, {"offset_sigma": 0.5, "nonlinearity_sigma": 0.002}])
+def test_readings_so_far_count(article, without_photons, of_channels):
+    """With what the calibration of channels moves all by, old and new.
+
+    A plan began anew, as if nothing had been measured: the errors were those of its own rows.
+    """
     without_photons(formulas)
+    article = replace(article, common_errors=CommonErrors(**of_channels))
     planned = plan(article, 0.1, n_gap=[1.0, 1.333], mountings=[3], events=[2e4])
     kept = list(article.measurements.readings)
 
@@ -517,15 +524,15 @@ def test_a_measured_transmittance_goes_on_into_a_plan(scenes, without_photons):
     three = read_campaign(scenes / "camoo4_three.toml")
     light = [reading for reading in three.measurements.readings if not reading.of_beam]
     (beam,) = (reading for reading in three.measurements.readings if reading.of_beam)
-    slopes = np.array([[8.0, 0.29], [3.0, 0.52], [-0.7, 0.0]])
+    slopes = np.array([[8.0, 0.29], [3.0, 0.52], [-0.7, 0.0], [-0.7, 0.0]])
 
-    def expected(readings):
-        """Of a fit to these readings, two of light and perhaps a beam."""
-        statistic = SimpleNamespace(
-            prior_weight=np.zeros(2),
-            variance=np.array([reading.sigma for reading in readings]) ** 2,
-            labels=[reading.label for reading in readings],
-        )
+    def expected(readings, group_sigma=0.0):
+        """Of a fit to these readings, two of light and perhaps beams, which are of one group."""
+        own = np.array([reading.sigma for reading in readings]) ** 2
+        shared, none = np.full(len(readings), group_sigma), np.zeros((len(readings), 0))
+        mountings = np.array([0, 1, 2, 2])[: len(readings)]
+        labels = [reading.label for reading in readings]
+        statistic = SimpleNamespace(prior_weight=np.zeros(2), labels=labels)
         fit = SimpleNamespace(
             theta=np.array([0.1, 48.0]),
             names=("alpha_scat_per_cm", "scale"),
@@ -534,7 +541,7 @@ def test_a_measured_transmittance_goes_on_into_a_plan(scenes, without_photons):
                 statistic=statistic,
                 slopes=slopes[: len(readings)],
                 weights=SimpleNamespace(
-                    errors=SimpleNamespace(tolerances=np.zeros((len(readings), 0)))
+                    errors=ErrorMatrices(own, shared, mountings, none, none, none)
                 ),
             ),
             offsets=(),
@@ -553,3 +560,8 @@ def test_a_measured_transmittance_goes_on_into_a_plan(scenes, without_photons):
     told, less = (each.errors([0, 1], 4, 1e4)[0] for each in (found, without))
     assert told.of_plan < less.of_plan
     assert told.parts["prior of transmittance"] > 0 and told.priors > 0 == less.priors
+    # what two share is not told twice
+    sigma = math.hypot(beam.sigma / math.sqrt(2), 0.03)
+    one = expected([*light, replace(beam, sigma=sigma)])
+    two = expected([*light, beam, replace(beam, label="again")], 0.03)
+    assert two.errors([0, 1], 4, 1e4)[0].total == pytest.approx(one.errors([0, 1], 4, 1e4)[0].total)

@@ -130,6 +130,23 @@ def test_a_factor_on_all_efficiencies_is_one_for_all_samples():
     np.testing.assert_allclose(model.predict_many(doubled[None])[0], 2 * here.signal, rtol=1e-9)
 
 
+def test_a_reference_is_of_its_own_line(tmp_path):
+    """Its known light yield made photoelectrons per 122 keV, which were read as per 59.5 keV."""
+    text = (SCENES / "camoo4_cawo4.toml").read_text()
+    first, table, reference = text.partition("[samples.cawo4.light_yield]")
+    text = first + table + reference.replace("59.5", "122")
+    text = text.replace('"camoo4.xml"', f"'{SCENES / 'camoo4.xml'}'")
+    (tmp_path / "campaign.toml").write_text(text)
+    rows = (SCENES / "camoo4_cawo4.csv").read_text().replace("n_gap", "n_gap,energy_keV")
+    rows = rows.replace("1.46", "1.46,59.5").replace("0.2,1.00", "0.2,1.00,59.5")
+    (tmp_path / "camoo4_cawo4.csv").write_text(rows.replace("0.4,1.00", "0.4,1.00,122"))
+    model = CampaignSimulations(read_campaign(tmp_path / "campaign.toml"), FEW).simulate().model()
+    theta = np.array([57.0 if p.name == "scale" else p.start for p in model.free])
+    read, names = model.predict(theta), [p.name for p in model.free]
+    scales = theta[[names.index(name) for name in ("scale", "scale", "scale_cawo4")]]
+    np.testing.assert_allclose(read.signal / read.eta, scales, rtol=1e-12)
+
+
 def test_evidence_of_a_campaign_whose_samples_have_own_scales(bench):
     explanations = explanations_of(bench.model, {})
     assert set(explanations.scales) == {"scale", "scale_cawo4"}

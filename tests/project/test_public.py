@@ -137,6 +137,9 @@ def test_fitted_parameters_say_their_units():
     fit = mcrim.calibrate(SCENES / "camoo4_campaign.toml", photons=131_072)
     assert str(fit.light_yield_ph_per_keV) == "7.5 ± 0.8 ph/keV"
     assert str(fit.alpha_scat_per_cm).endswith("1/cm") and fit.ndf == 0
+    # a sample's is no energy
+    of_sample = dataclasses.replace(fit.light_yield_ph_per_keV, name="light_yield_b_ph_per_keV")
+    assert str(of_sample) == "7.5 ± 0.8 ph/keV"
     frame = fit.to_dataframe().set_index("parameter")
     assert set(frame.index) >= {"alpha_scat_per_cm", "light_yield_ph_per_keV"}
     alpha_scat = frame.loc["alpha_scat_per_cm"]

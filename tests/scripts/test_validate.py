@@ -346,7 +346,7 @@ def test_two_benches_for_real(cases, tmp_path, monkeypatch, capfd):
 @pytest.mark.parametrize(("way", "count"), [("modes", 40), ("weights", 12)])
 def test_fast_ways_agree_with_photons_on_random_benches(way, count, monkeypatch):
     monkeypatch.setattr(fast_ways, "PHOTONS_OF_TABLE", 500_000)
-    comparisons = [fast_ways.compare(way, number, 5, 500_000) for number in range(count)]
+    comparisons = [fast_ways.compare(way, number, 5, 1_000_000) for number in range(count)]
     verdict = fast_ways.judge(comparisons)
     assert verdict.agrees, verdict
     assert verdict.refused <= count / 3
@@ -357,7 +357,7 @@ def test_folded_flights_agree_with_straight_ones():
     cases = ["box", "cylinder", "cylinder_lying", "hexagonal", "wrapped"]
     cases += ["rayleigh_scattering", "scattering_gradient", "gel_creep", "side_roughness"]
     cases += ["polarization", "polarised_cylinder"]
-    differences = [row for case in cases for row in folding.compare(case, 280_000, 3)]
+    differences = [row for case in cases for row in folding.compare(case, 400_000, 3)]
     assert {row.case for row in differences} == set(cases)
     # uneven scattering has its own path besides
     assert len(differences) == 11 * len(cases) + 1
@@ -365,7 +365,7 @@ def test_folded_flights_agree_with_straight_ones():
     assert p > FALSE_ALARM, worst
     # an error of half a per cent in one eta would be found
     assert max(row.straight_sigma / row.straight for row in differences if row.what == "eta") < 2e-3
-    assert not folding.compare("edge_chamfer", 280_000, 3)
+    assert not folding.compare("edge_chamfer", 400_000, 3)
 
 
 def test_random_benches_are_alike_in_both_programs():
