@@ -308,7 +308,7 @@ class _Cells(dict[str, str]):
             use=use,
             group=group,
             group_sigma=group_sigma,
-            shared=tuple(parse_number(SHARED, text, **self.place(SHARED)) for text in shared),
+            shared=tuple(self.number(SHARED, text) for text in shared),
             line=self.line,
             histogram=histogram,
             window=window,
@@ -326,13 +326,15 @@ class _Cells(dict[str, str]):
     def place(self, name: str) -> dict[str, Any]:
         return {"path": self.path, "line": self.line, "column": name}
 
-    def number(self, name: str) -> float:
-        share = _SHARE.fullmatch(self[name]) if name == "sigma" else None
-        if share and is_number(self["signal"]):
+    def number(self, name: str, text: str | None = None) -> float:
+        """A cell's number, or that of a `text` in it."""
+        text = self[name] if text is None else text
+        share = _SHARE.fullmatch(text) if name in ("sigma", SHARED) else None
+        if share and is_number(self.get("signal", "")):
             sigma = float(share[1]) / 100 * float(self["signal"])
-            problem = f"sigma = {self[name]} is in per cent"
+            problem = f"{name} = {text} is in per cent"
             raise self.refusal(name, problem, f"write it in the unit of the signal: {sigma:.3g}")
-        return parse_number(name, self[name], **self.place(name))
+        return parse_number(name, text, **self.place(name))
 
     def refusal(self, name: str, problem: str, mend: str) -> InputError:
         return InputError(problem, mend, **self.place(name))
