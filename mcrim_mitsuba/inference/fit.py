@@ -399,7 +399,7 @@ def _notes_of_likeness(model: Model, prediction: Prediction) -> Iterator[str]:
         # other crystals may be alike by chance
         one_crystal = first.sample == second.sample
         if one_crystal and other_eta - eta <= FIT_NOTES.alike * other_eta and len(columns) == 1:
-            values = (short_text(where[columns[0]]) for where in (of, of_other))
+            values = (short_text(where.get(columns[0])) for where in (of, of_other))
             yield (
                 f"{columns[0]} {' and '.join(values)} change nothing here: the model predicts the "
                 f"same of {first.label} and {second.label}, to 1 in {1.0 / FIT_NOTES.alike:.0f}"
