@@ -264,12 +264,12 @@ def reduce_raw_data(
         name: document.table(f"{schema.SAMPLES}.{name}.{schema.YIELD_TABLE}").number("energy_keV")
         for name in document.table(schema.SAMPLES)
     }
-    mountings = {}
-    for row in (row for row in table.readings if row.histogram is not None):
-        energy = row.energy_keV or energies.get(row.sample) or below.energy_keV
-        asked = replace(below, energy_keV=energy)
-        mountings[row.line] = _mounting(table, row, shape, asked, calibration)
-    readings, reduced = [], {}
+    mountings, readings, reduced = {}, [], {}
+    for row in table.readings:
+        if row.histogram is not None:
+            energy = row.energy_keV or energies.get(row.sample) or below.energy_keV
+            asked = replace(below, energy_keV=energy)
+            mountings[row.line] = _mounting(table, row, shape, asked, calibration)
     for label, rows in table.by_label.items():
         reading = rows[0]
         if calibration is not None and reading.histogram is None and not reading.of_beam:
