@@ -276,6 +276,7 @@ def test_facets_are_drawn_as_they_are_seen(cosine, alpha, beckmann):
     uniforms = [rng.next_float32() for _ in range(5)]
     if beckmann:
         facet, taken = dielectric._visible_of_beckmann(view, mi.Float(alpha), uniforms)
+        dr.eval(facet, taken)
         facet = np.array(facet, dtype=float)[:, np.array(taken)]
     else:
         facet = np.array(dielectric._visible_of_ggx(view, alpha, *uniforms[:2]), dtype=float)
@@ -355,6 +356,7 @@ def _through_a_face(n_i, n_t, alpha, heights_nm, count, polarised):
         )
     elif heights_nm:
         way = dielectric.scatter_by_haze(way, haze, at_all, field, facing, ratio, cosine, rng)
+    dr.eval(way[0].z, way[2])  # together, or each kernel would do it all once more
     height, reflected = np.array(way[0].z), np.array(way[2])
     assert np.all((height > 0) == reflected)
     tenth = np.minimum((10 * height**2).astype(int), 9)
@@ -445,6 +447,7 @@ def test_births_fall_with_depth(bench, depth, side):
         crystal.from_uniforms(*(rng.next_float32() for _ in range(3))),
         crystal.sample(rng, 50_000),
     ):
+        dr.eval(point)
         x, y, z = (np.array(c, dtype=float) for c in (point.x + 5, point.y + 5, point.z))
         below, *evenly = (x, y, z) if side else (10 - z, x, y)
         assert 0 <= below.min() and below.max() <= 10
