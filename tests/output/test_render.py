@@ -4,6 +4,7 @@ import functools
 import shutil
 from itertools import combinations
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from places import SCENES, tables_of
@@ -25,8 +26,17 @@ CASES = tables_of(__file__)["cases"]
 
 @pytest.fixture(scope="module")
 def picture(tmp_path_factory):
-    """A function that renders a case once, small and coarse."""
-    folder = tmp_path_factory.mktemp("scenes")
+    """A function that renders a case once, small and coarse.
+
+    Colours are looked at of two; of the others faces are as bright as their directions say: for
+    light two kernels of 6,000 operations would be compiled for each.
+    """
+    folder, traced = tmp_path_factory.mktemp("scenes"), mi.render
+
+    def directions(scene, **options):
+        normals = mi.load_dict({"type": "aov", "aovs": "normal:sh_normal"})
+        found = np.abs(np.array(traced(scene, integrator=normals, **options))[:, :, -3:])
+        return found @ np.full((3, 3), [[0.9], [0.6], [0.3]])
 
     @functools.cache
     def rendered(case: str):
@@ -36,8 +46,11 @@ def picture(tmp_path_factory):
             path = folder / f"{scene}.xml"
             text = TEXTS.get(scene) or add(scene, read_scene(SCENES / "camoo4.xml"))
             path.write_text(text, encoding="utf-8")
-        # colours are looked at of two, of the others what is drawn over them
-        return render(path, overrides, samples=1 + (case in ("air", "gel")), scale=0.4)
+        if case in ("air", "gel"):
+            return render(path, overrides, samples=2, scale=0.4)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(mi, "render", directions)
+            return render(path, overrides, samples=1, scale=0.4)
 
     return rendered
 
@@ -58,7 +71,7 @@ def test_every_part_is_named_and_no_texts_overlap(case, picture):
         a, b = one.box, other.box
         clear = a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
         assert clear, (one.text, other.text)
-    assert made.pixels.std() > 10  # and there is something to be seen
+    assert made.view[60:-60, 90:-90].std() > 10  # and there is something to be seen
 
 
 def colour_at(made, name: str) -> np.ndarray:
@@ -116,8 +129,9 @@ def test_detector_is_red(picture):
 
 
 def test_same_seed_gives_the_same_picture():
+    # as large as the others, for which kernels are compiled
     one, same, other = (
-        render(SCENES / "camoo4.xml", samples=1, scale=0.2, run=Run(seed=seed))
+        render(SCENES / "camoo4.xml", samples=1, scale=0.4, run=Run(seed=seed))
         for seed in (1, 1, 2)
     )
     assert np.array_equal(one.pixels, same.pixels)
