@@ -12,7 +12,12 @@ from mcrim_mitsuba.output.photograph import render
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.bulk import BirthLattice, PhotonSeeds, lane_generators, lane_numbers
 from mcrim_mitsuba.transport.collection import Recorder, follow_trails
-from mcrim_mitsuba.transport.conversion import parameters_of, read_scene_model, write_parameters
+from mcrim_mitsuba.transport.conversion import (
+    opaque,
+    parameters_of,
+    read_scene_model,
+    write_parameters,
+)
 from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals, plan_lanes
 from mcrim_mitsuba.transport.simulation import Simulation, load_scene
 from mcrim_mitsuba.transport.variants import use_variant
@@ -74,7 +79,7 @@ def test_a_simulation_that_is_dropped_takes_its_scene_along(scenes, mi, use):
 def _use(mi, path, use) -> None:
     """Use a simulation as the package does."""
     if use == "render":
-        render(path, samples=1, scale=0.25)
+        render(path, samples=1, scale=0.4)  # as test_render's, for which kernels are compiled
         return
     simulation = Simulation(path)
     if use in ("collect", "general"):
@@ -157,7 +162,8 @@ def test_lanes_and_their_photons_draw_unrelated_numbers(mi):
             dr.eval(rng.state)  # or each kernel would draw once more all that was drawn
     seeds = PhotonSeeds(lanes, 2, 7)
     for serial in range(25):
-        rng.state = seeds.state(mi.UInt32(serial))
+        # opaque, or each number would have a kernel of its own
+        rng.state = seeds.state(opaque([serial], mi.UInt32))
         draws += [np.array(rng.next_float32(), dtype=float) for _ in range(2)]
     p_values = [chisquare(np.histogram(drawn, 64, (0, 1))[0]).pvalue for drawn in draws]
     # p-values of a good generator are uniform themselves: too good is bad as well
