@@ -29,6 +29,8 @@ from mcrim_mitsuba.inference.weighing import weigh_hypotheses
 SIGMA = 0.007
 PRIOR, PRIOR_SIGMA = 0.039, 0.012
 SIMULATION_ERROR, BATCHES = 0.0007, 16
+#: Of slopes, along the imaginary axis.
+_STEP = 1e-20
 
 
 def _rows() -> list[dict[str, float]]:
@@ -67,7 +69,25 @@ def _cones(n_gap: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return tuple(0.5 * (1.0 - np.sqrt(1.0 - (x / n) ** 2)) for x in (window, 1.0))
 
 
+def _into_cone(cone: np.ndarray, four_sides: np.ndarray, chamfer_mm) -> np.ndarray:
+    """Part of the light that scattering turns into the bottom's cone, of what is trapped."""
+    trapped = 1.0 - 2.0 * cone - 4.0 * four_sides
+    return trapped * cone / (cone + 5.0 * four_sides * (1.0 + chamfer_mm))
+
+
+_SEEN, _INNER = np.exp(-((_RADIUS / 6.0) ** 2) / _H), np.exp(-((_RADIUS / 4.0) ** 2))
+
+
+def _apertures(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Parts of the light from the sides, and of that from the bottom, that a mask lets through."""
+    return 1.0 - _SEEN * (1.0 + 0.5 * gap), 1.0 - _INNER * (1.0 + 0.2 * gap * _FILLED)
+
+
+# where nothing changes them
 _CONES = _cones(_N_GAP, SCENE["n_crystal"])
+_TURNED_INTO = _into_cone(*_CONES, 0.0)
+_APERTURES = _apertures(_GAP)
+_LOST, _CAUGHT = 2.2 * (0.4 + _H), _H * (1.5 * _FILLED - 3.0)
 
 
 def _log_eta(given: Mapping[str, np.ndarray], on: frozenset[str]) -> np.ndarray:
@@ -75,7 +95,7 @@ def _log_eta(given: Mapping[str, np.ndarray], on: frozenset[str]) -> np.ndarray:
 
     What is not given changes nothing, and is not worked out: diagnoses ask ten thousand times.
     """
-    v, n_gap, gap = _PLAIN | given, _N_GAP, _GAP
+    v, n_gap, gap, apertures = _PLAIN | given, _N_GAP, _GAP, _APERTURES
     a, k = v["alpha_scat_per_cm"], v["alpha_abs_per_cm"]
     if "scattering_g" in given:
         a = a * (1.0 - v["scattering_g"]) ** 0.9
@@ -89,25 +109,24 @@ def _log_eta(given: Mapping[str, np.ndarray], on: frozenset[str]) -> np.ndarray:
         n_gap = _N_GAP + v["gap_index_offset"] * _FILLED
     if "gap_offset_mm" in given:
         gap = _GAP + v["gap_offset_mm"]
+        apertures = _apertures(gap)
     # light through the bottom, direct and turned into its cone by scattering
-    cone, four_sides = _CONES
-    if not given.keys().isdisjoint(("n_crystal", "gap_index_offset")):
+    (cone, four_sides), turned_into = _CONES, _TURNED_INTO
+    if not given.keys().isdisjoint(("n_crystal", "gap_index_offset", "chamfer_mm")):
         cone, four_sides = _cones(n_gap, v["n_crystal"])
+        turned_into = _into_cone(cone, four_sides, v["chamfer_mm"])
     turned = a * _H
-    turned = turned / (turned + k * (2.2 * (0.4 + _H)) + 0.12)
-    caught = np.exp(k * (_H * (1.5 * _FILLED - 3.0)))
+    turned = turned / (turned + k * _LOST + 0.12)
+    caught = np.exp(k * _CAUGHT)
     if "roughness_alpha" in given:
         turned = turned + (1.0 - turned) * (1.0 - np.exp(-3.0 * v["roughness_alpha"])) * 0.5
-    trapped = 1.0 - 2.0 * cone - 4.0 * four_sides
-    into_cone = trapped * cone / (cone + 5.0 * four_sides * (1.0 + v["chamfer_mm"]))
-    bottom = cone + into_cone * turned
+    bottom = cone + turned_into * turned
     if "top_reflectance" in given:
         bottom = bottom + four_sides * v["top_reflectance"] * (0.4 + 0.6 * _H)
     side = (0.35 + 0.42 * turned) * four_sides
-    seen = 1.0 - np.exp(-((_RADIUS / 6.0) ** 2) / _H) * (1.0 + 0.5 * gap)
+    seen, inner = apertures
     if "aperture_at_detector" in on:
         seen = seen * (1.0 - 0.15 * (_RADIUS < 13.0) * (1.0 + _FILLED))
-    inner = 1.0 - np.exp(-((_RADIUS / 4.0) ** 2)) * (1.0 + 0.2 * gap * _FILLED)
     eta = bottom * inner * caught + side * seen * np.exp(-2.0 * k)
     if "bubble_fraction" in given:
         bubble = v["bubble_fraction"] * _FILLED
@@ -138,6 +157,16 @@ def _log_eta(given: Mapping[str, np.ndarray], on: frozenset[str]) -> np.ndarray:
     if "polarization" in on:
         log = log + 0.004 * (1.0 - 2.0 * _FILLED) + 0.003 * _SMALL
     return log
+
+
+def _read(light: np.ndarray, given: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """What is read of light, and its slope, with the readings' own effects where they are given."""
+    by_light = np.ones((1, 1))
+    if "nonlinearity" in given:
+        light, by_light, _ = reading_nonlinearity(light, given["nonlinearity"], _NO_ROWS)
+    if "background" in given:
+        light = light + given["background"]
+    return light, by_light
 
 
 def signals(values: Mapping[str, float], effects: tuple[str, ...] = ()) -> np.ndarray:
@@ -194,6 +223,7 @@ class Model:
         self._error = self.noise.mean(axis=0)[self._at]
         self._error_sigma = self.noise.std(axis=0, ddof=1)[self._at] / np.sqrt(BATCHES)
         self._names, self._on = [p.name for p in free], frozenset(self.effects)
+        self._steps = 1j * _STEP * np.vstack([np.zeros(len(free)), np.eye(len(free))])
         known = self.light_yield
         self.campaign = SimpleNamespace(
             path=None,
@@ -216,34 +246,29 @@ class Model:
         )
 
     def predict(self, theta, *, check=False, covariance=False) -> Prediction:
-        k = len(self.free)
-        step = 1e-20
-        points = np.asarray(theta, float) + 1j * step * np.vstack([np.zeros(k), np.eye(k)])
+        points = np.asarray(theta, float) + self._steps
         given = {name: points[:, [i]] for i, name in enumerate(self._names)}
-        scale, v = given["scale"], _PLAIN | given
+        scale = given["scale"]
         log = _log_eta(given, self._on)[:, self._at] + self._error
         all_eta = np.exp(log)
-        true = scale * all_eta
-        read, by_signal, _ = reading_nonlinearity(true, v["nonlinearity"], _NO_ROWS)
-        signal = read + v["background"]
         eta = all_eta[0].real
+        signal, by_light = _read(scale * all_eta, given)
         return Prediction(
             scale=float(theta[-1]),
             eta=eta,
-            eta_slopes=(all_eta.imag[1:] / step).T,
+            eta_slopes=(all_eta.imag[1:] / _STEP).T,
             eta_errors=np.diag(self._error_sigma * eta) if covariance else None,
             eta_sigma=self._error_sigma * eta,
             interpolation_error=np.zeros(len(eta)),
             signal=signal[0].real,
-            signal_slopes=(signal[1:].imag / step).T,
-            signal_per_eta=scale[0, 0].real * by_signal[0].real,
+            signal_slopes=(signal[1:].imag / _STEP).T,
+            signal_per_eta=scale[0, 0].real * by_light[0].real + np.zeros(len(eta)),
         )
 
     def predict_many(self, thetas) -> np.ndarray:
         given = {name: thetas[:, [i]] for i, name in enumerate(self._names)}
-        v = _PLAIN | given
-        true = v["scale"] * np.exp(_log_eta(given, self._on)[:, self._at] + self._error)
-        return reading_nonlinearity(true, v["nonlinearity"], _NO_ROWS)[0] + v["background"]
+        eta = np.exp(_log_eta(given, self._on)[:, self._at] + self._error)
+        return _read(given["scale"] * eta, given)[0]
 
     def eta_batches(self, theta) -> np.ndarray:
         return (self.noise - self.noise.mean(axis=0))[:, self._at]
