@@ -49,6 +49,7 @@ def test_births_fill_the_crystal_and_nothing_else(scenes, mi):
         crystal.from_uniforms(*(rng.next_float32() for _ in range(3))),
         crystal.sample(rng, 50_000),
     ):
+        dr.eval(point)
         for axis, (low, high) in enumerate(((-5, 5), (-5, 5), (0, 20))):
             counts, _ = np.histogram(np.array(point[axis]), bins=10, range=(low, high))
             assert counts.sum() == 50_000
