@@ -59,7 +59,7 @@ EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 4
 #: Error of a simulation in a wrapping, over that of its reading, from which on it needs no more
 #: photons (those of the article's benches are 0.2 to 1.2). Elsewhere few take as long as many.
 _PRECISE = 0.7
-#: Part of an effect's photons that a first look takes.
+#: Part of the most photons of an effect that a first look takes, or all if they are fewer.
 LOOK_PART = 1 / 8
 #: How many times as many one at a pair of effects takes, which is of one size only: that they add
 #: up is usual, and must not be lost in noise.
@@ -332,7 +332,7 @@ class ResponseMaker:
         # where a model may change the acceptance, every effect's response depends on it
         acceptance = next((p for e in acting if e.of_beam for p in e.parameters), None)
         few = [
-            replace(run, photons=own, check=False)
+            replace(run, photons=min(own, self._look_photons), check=False)
             for run, own in zip(plain, self._photons, strict=True)
         ]
         for effect in acting:
@@ -411,9 +411,9 @@ class ResponseMaker:
         nodes: list[_Node] = []
         for number in seeing:
             run, row, photons = plain[number], readings[number], self._photons[number]
-            # of few photons a part would tell nothing: the nodes of a first look are the last ones'
-            if is_look and photons == self._effect_photons:
-                photons = self._look_photons
+            if is_look:
+                # an eighth of few photons would tell nothing
+                photons = min(photons, self._look_photons)
             source, reference = self._sources(effect, run, photons)
             at_own_acceptance = self._at_own_acceptance(run)
             for place, values in _nodes(axes):
