@@ -56,7 +56,7 @@ def fitted(campaign, **options):
 
 def test_the_light_yield_covers_the_truth_and_the_ratio_has_the_peaks_error(tmp_path):
     """Within two errors as often as 95.4 % lets expect (binomial, 0.1 %); ratios too."""
-    draws, covered, ratios = 9, 0, 0
+    draws, covered, ratios = 12, 0, 0
     for seed in range(draws):
         campaign = read_campaign(drawn(tmp_path / "draw", seed))
         estimate = fitted(campaign, profile=False).parameters[YIELD]

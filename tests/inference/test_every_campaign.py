@@ -15,7 +15,6 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.responses import Point
 from mcrim_mitsuba.inference import plan as planning
-from mcrim_mitsuba.inference.corrections import NeglectWork
 from mcrim_mitsuba.inference.drivers import find_minima, minuit, newton
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.inference.statistic import Statistic
@@ -47,24 +46,14 @@ def cache(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def few_rows(monkeypatch):
-    """Four of every table, from its first to its last: verbs do with few what they do with many.
-
-    What a budget's benches have beyond the campaign's own they have without tolerances.
-    """
-    bench = NeglectWork._bench
+    """Four of every table, from its first to its last: verbs do with few what they do with many."""
 
     def thinned(*words):
         table = read_table(*words)
         places = np.unique(np.linspace(0, len(table.readings) - 1, 4).round().astype(int))
         return replace(table, readings=tuple(table.readings[place] for place in places))
 
-    def exact(work, *put_in, **more):
-        if put_in:
-            work._campaign = replace(work._campaign, tolerances=())
-        return bench(work, *put_in, **more)
-
     monkeypatch.setattr(campaigns, "read_table", thinned)
-    monkeypatch.setattr(NeglectWork, "_bench", exact)
 
 
 @pytest.mark.parametrize("name", CAMPAIGNS)
