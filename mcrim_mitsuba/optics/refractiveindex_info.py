@@ -45,7 +45,7 @@ RAYS = ("-o", "-e")
 AXES = ("-α", "-β", "-γ")
 #: Names that a refusal lists.
 _MOST_NAMES = 60
-_MARKUP = re.compile(r"</?[a-zA-Z][^<>]*>")
+_MARKUP = re.compile(r"</?[a-zA-Z][^<>]*>|[\\\"]")
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def _page(name: str) -> Page:
 
 
 def _plain(text: str) -> str:
-    """A text in one line, without HTML."""
+    """A text in one line, without HTML and quotes that were typed for another program."""
     return " ".join(_MARKUP.sub("", text).split())
 
 

@@ -136,7 +136,9 @@ def test_a_metal_says_what_it_reflects(mcrim):
     # aluminium at 420 nm: G. Hass and J. E. Waylonis, J. Opt. Soc. Am. 51 (1961) 719: 0.92 to 0.93
     found = mcrim.json("lab", "index", "rii:main/Al/Rakic", "--nm", 420)
     assert found["reflectance"] == pytest.approx(0.924, abs=0.006)
-    assert "light does not cross it" in mcrim.shown("lab", "index", "rii:main/Al/Rakic@420nm")
+    shown = mcrim.shown("lab", "index", "rii:main/Al/Rakic@420nm")
+    assert "light does not cross it" in shown
+    assert "; Optical and" in shown and '""' not in shown
 
 
 def test_commands_that_name_no_entry_do_not_wait_for_the_database(scenes):
