@@ -332,9 +332,9 @@ def _starts(statistic: Statistic, weights: Weights) -> list[Array]:
         bounds, held = statistic.parameter(size.name), [statistic.index(size.name)]
         nodes = size.origin(campaign.values) + np.array(size.nodes)
         values = np.clip(nodes, bounds.minimum, bounds.maximum)
-        at = [statistic.theta({**first, size.name: value}) for value in values]
-        scan = [newton(statistic, each, weights, held=held, steps=4, precision=0.05) for each in at]
-        starts += lowest(scan)
+        along = [statistic.theta({**first, size.name: value}) for value in values]
+        ends = (newton(statistic, t, weights, held=held, steps=4, precision=0.05) for t in along)
+        starts += lowest([*ends])
     return starts
 
 
