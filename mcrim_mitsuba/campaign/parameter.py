@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 
 from mcrim_mitsuba.campaign import entries as schema
@@ -147,10 +147,10 @@ def read_parameter(
         problem = f"no range of {name} is known"
         raise table.refusal("", problem, "give min and max, or fixed = true")
     bounds = given.get("min", usual[0]), given.get("max", usual[1])
-    prior, prior_sigma = given.get("prior"), given.get("prior_sigma")
-    parameter = CampaignParameter(
-        name, float(start), *bounds, prior=prior, prior_sigma=prior_sigma, fixed=fixed
-    )
+    if fixed and known_range is not None and known_range[0] is not None:
+        bounds = known_range[1:]  # beyond, an effect is not simulated
+    parameter = CampaignParameter(name, float(start), *bounds, fixed=fixed)
+    parameter = replace(parameter, prior=given.get("prior"), prior_sigma=given.get("prior_sigma"))
     _refuse_what_lies_outside(table, parameter)
     return parameter
 
@@ -180,8 +180,8 @@ def _refuse_what_lies_outside(table: TomlTable, parameter: CampaignParameter) ->
             if prior == start
             else (f"start = {start:g} of {name} is", "move start, or give")
         )
-        problem = f"{what} outside {low:g}..{high:g}"
-        raise table.refusal("start", problem, f"{mend} other min and max")
+        problem, mend = f"{what} outside {low:g}..{high:g}", f"{mend} other min and max"
+        raise table.refusal("start", problem, "move start" if parameter.fixed else mend)
     if name == SCALE and parameter.fixed and start <= 0:
         problem = f"the scale is held at {start:g}: no signal would be above 0"
         raise table.refusal("start", problem, "give a number above 0, or fit it")

@@ -274,14 +274,16 @@ def best_of(statistic: Statistic, starts: Iterable[Array], weights: Weights) -> 
 def find_minima(statistic: Statistic) -> list[Minimum]:
     """Minima of a campaign about which nothing is known, the lowest first.
 
-    More than one where the model is ambiguous. alpha_scat is scanned; every minimum of the scan is
-    followed by Newton's method, and ended by MINUIT.
+    More than one where the model is ambiguous. alpha_scat and sizes of effects are scanned; every
+    minimum of a scan is followed by Newton's method, and ended by MINUIT.
     """
     weights = Weights(statistic.errors_before_any_fit())
     minima: list[Minimum] = []
     for start in _starts(statistic, weights):
         end = newton(statistic, start, weights)
         rough = settle(statistic, end.point, precision=SEARCH.newton_precision)
+        if any(rough.distance(other.theta) <= SEARCH.apart for other in minima):
+            continue
         theta, chi2, content = minuit(statistic, rough.theta, rough.weights)
         # MINUIT begins clear of the bounds, and may end a little above where it was
         if chi2 > rough.chi2:
@@ -293,36 +295,47 @@ def find_minima(statistic: Statistic) -> list[Minimum]:
 
 
 def _starts(statistic: Statistic, weights: Weights) -> list[Array]:
-    """Local minima of a scan in alpha_scat, each with its best scale; all else at its start."""
+    """Local minima of a scan in alpha_scat, each with its best scale; all else at its start.
+
+    And, from the lowest of them on, those along the size of each effect, all else fitted: responses
+    bend at the nodes of that.
+    """
     theta = statistic.theta({})
     scales = [statistic.index(name) for name in statistic.scales]
     theta[scales] = np.where(theta[scales] > 0.0, theta[scales], 1.0)
     others = [place for place in range(len(theta)) if place not in scales]
 
-    def with_best_scale(start: Array) -> tuple[Array, float]:
+    def with_best_scale(start: Array) -> Descent:
         for name, rows in statistic.scales.items():
             place = statistic.index(name)
             predicted = statistic.model.predict(start).signal[statistic.used]
             # the statistic is nearly quadratic in the scale: the descent mends what is left
             start[place] *= float(np.median((statistic.signal / predicted)[rows]))
         start = np.clip(start, *statistic.bounds)
-        end = newton(statistic, start, weights, held=others, steps=3, precision=0.01)
-        return end.point, end.height
+        return newton(statistic, start, weights, held=others, steps=3, precision=0.01)
 
-    own_start = [with_best_scale(theta.copy())[0]]
-    if ALPHA_SCAT not in statistic.names:
-        return own_start
-    place = statistic.index(ALPHA_SCAT)
-    bounds = statistic.free[place]
-    scan = []
-    for value in np.geomspace(bounds.minimum, bounds.maximum, SEARCH.scan_points):
-        start = theta.copy()
-        start[place] = value
-        scan.append(with_best_scale(start))
-    heights = [height for _, height in scan]
-    if np.ptp(heights) < SEARCH.flat:
-        return own_start
-    return [scan[i][0] for i in local_minima(heights)[: SEARCH.most_starts]]
+    def lowest(scan: Sequence[Descent]) -> list[Array]:
+        minima = local_minima([end.height for end in scan])
+        return [scan[i].point for i in minima[: SEARCH.most_starts]]
+
+    starts = [with_best_scale(theta.copy()).point]
+    if ALPHA_SCAT in statistic.names:
+        bounds = statistic.parameter(ALPHA_SCAT)
+        values = np.geomspace(bounds.minimum, bounds.maximum, SEARCH.scan_points)
+        at = [{**statistic.values(theta), ALPHA_SCAT: value} for value in values]
+        scan = [with_best_scale(statistic.theta(each)) for each in at]
+        if np.ptp([end.height for end in scan]) >= SEARCH.flat:
+            starts = lowest(scan)
+    campaign, first = statistic.model.campaign, statistic.values(starts[0])
+    sizes = (size for effect in campaign.switched_on for size in effect.parameters)
+    for size in (size for size in sizes if size.name in statistic.names):
+        bounds, held = statistic.parameter(size.name), [statistic.index(size.name)]
+        nodes = size.origin(campaign.values) + np.array(size.nodes)
+        values = np.clip(nodes, bounds.minimum, bounds.maximum)
+        along = [statistic.theta({**first, size.name: value}) for value in values]
+        ends = (newton(statistic, t, weights, held=held, steps=4, precision=0.05) for t in along)
+        starts += lowest([*ends])
+    return starts
 
 
 def local_minima(heights: Sequence[float]) -> list[int]:

@@ -109,12 +109,15 @@ class Explanations:
             # what has been fitted is a start; the rest need not be for this
             known = [name for name, fewer in fewers.items() if fewer in self._fits]
             for name in known or key:
-                fewer = self.fit(fewers[name])
-                profile = self.profile(key, name, fewer)
+                profile = self.profile(key, name, self.fit(fewers[name]))
                 lowest = local_minima([height for height, _ in profile])[:3]
                 starts += [profile[i][1] for i in lowest]
             self._fits[key] = best_of(statistic, starts, self.baseline.weights)
         return self._fits[key]
+
+    def know(self, added: Iterable[str], fit: Minimum) -> None:
+        """Take a fit with these effects that was found elsewhere for the best one."""
+        self._fits[tuple(sorted(added))] = fit
 
     def free_parameters(self, added: Iterable[str], effect: str) -> tuple[str, ...]:
         """Parameters of an effect that the fit with these effects varies."""

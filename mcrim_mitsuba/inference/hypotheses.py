@@ -18,6 +18,7 @@ from scipy.special import softmax
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import counted, p_equals, probability
 from mcrim_mitsuba.core.run import Provenance, Run
@@ -26,11 +27,10 @@ from mcrim_mitsuba.inference.estimates import (
     FittedRow,
     ParameterEstimate,
     error_of_difference,
-    estimates,
     left_out_error,
 )
 from mcrim_mitsuba.inference.explanations import Explanations
-from mcrim_mitsuba.inference.fit import Calibration, result_of
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.judgement import AMBIGUOUS, UNEXPLAINED, explains
 from mcrim_mitsuba.inference.model import UNKNOWN_SCALE
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, EXPLAINING
@@ -129,7 +129,7 @@ def compare_hypotheses(
         name: CampaignSimulations(one.with_starts(starts), run)
         for name, one in zip(NAMES, given, strict=False)
     }
-    explained: dict[str, Explanations] = {}
+    explained, fits = dict[str, Explanations](), dict[str, Calibration]()
     done: PartDoneError | None = None
     for bench in benches.values():
         try:
@@ -144,22 +144,13 @@ def compare_hypotheses(
         models = simulations.models.reduced_model
         baseline = find_minima(Statistic(models(())))[0]
         explained[name] = Explanations(models, switched_on, baseline, scales)
-    fits = fits_of(explained)
+        fits[name] = simulations.fit()
+        explained[name].know(switched_on, fits[name].minimum)
     notes = [f"{name}: {note}" for name, fit in fits.items() for note in fit.notes]
     found = side_by_side(explained, fits)
     spent = [bench.provenance() for bench in benches.values()]
     scenes = {name: each.scene_hash for name, each in zip(benches, spent, strict=True)}
     return found, spent_together(spent, notes), scenes
-
-
-def fits_of(explained: Mapping[str, Explanations]) -> dict[str, Calibration]:
-    """The fit of every hypothesis, with all effects that its explanations know.
-
-    Raises InputError where the readings do not determine its parameters.
-    """
-    return {
-        name: result_of([own.fit(own.effects)], profile=False) for name, own in explained.items()
-    }
 
 
 def side_by_side(
@@ -170,36 +161,29 @@ def side_by_side(
     Those whose evidence is as close to the best as explanations are that lead a diagnosis together
     cannot be told from it.
     """
-    effects = {name: tuple(own.effects) for name, own in explained.items()}
     fits = {name: fit.minimum for name, fit in results.items()}
-    evidences = {name: own.evidence(effects[name]) for name, own in explained.items()}
+    evidences = {name: own.evidence(own.effects) for name, own in explained.items()}
     order = sorted(explained, key=lambda name: -evidences[name].log)
     best = order[0]
     probabilities = dict(zip(evidences, softmax([e.log for e in evidences.values()]), strict=True))
     noise = {name: error_of_difference(fit, fits[best]) for name, fit in fits.items()}
+    sampled = {name: each.log_sigma for name, each in evidences.items()}
+    errors = {n: math.hypot(sampled[n], sampled[best], 0.5 * noise[n]) for n in fits} | {best: 0.0}
     hypotheses = tuple(
         FittedHypothesis(
             name=name,
             campaign=fit.statistic.model.campaign.path,
-            effects=effects[name],
-            chi2=fit.chi2,
-            ndf=fit.ndf,
-            p_value=fit.p_value,
+            effects=tuple(explained[name].effects),
+            **attributes(results[name], "chi2 ndf p_value parameters rows"),
             left_out_error=left_out_error(fit),
             log_evidence=evidences[name].log - evidences[best].log,
-            log_evidence_sigma=0.0
-            if name == best
-            else math.hypot(
-                evidences[name].log_sigma, evidences[best].log_sigma, 0.5 * noise[name]
-            ),
+            log_evidence_sigma=errors[name],
             probability=float(probabilities[name]),
-            parameters=estimates(fit),
-            rows=results[name].rows,
             titles=tuple(each.title for each in explained[name].effects.values()),
         )
         for name, fit in fits.items()
     )
-    named = {one.name: one for one in hypotheses}
+    named = dict(zip(fits, hypotheses, strict=True))
     leading = tuple(
         n for n in order if -2.0 * named[n].log_evidence <= EXPLAINING.leading + 2.0 * noise[n]
     )

@@ -187,6 +187,17 @@ def test_effects_bring_their_parameters(folder):
         assert says in refusal(read.with_effects, [name])
 
 
+@pytest.mark.parametrize("bounds", ["", "min = 0.0\nmax = 1.0\n"])
+def test_an_effect_is_held_where_it_is_simulated(folder, bounds):
+    """Beyond, its responses are carried on: light yields were off by a third, or eta overflowed."""
+    text = CAMPAIGN.replace("effects = []", 'effects = ["surface_absorption"]')
+    held = f"{text}\n[parameters.surface_loss]\nfixed = true\n{bounds}start = "
+    assert campaign(folder, f"{held}0.05\n").parameters["surface_loss"].start == 0.05
+    for beyond in (0.2, -0.1):
+        said = refusal(campaign, folder, f"{held}{beyond}\n")
+        assert f"start = {beyond} of surface_loss is outside 0..0.05; move start" in said
+
+
 def test_the_old_name_of_an_effect_is_read(folder):
     """In all forms of TOML; what goes on from such a campaign says the new one, once."""
     (folder / "measured.csv").write_text(CSV + "oil,26,0.4,1.52\n")

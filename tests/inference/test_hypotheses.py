@@ -14,7 +14,10 @@ from refusals import refusal
 from trials import formula_bench as bench
 
 import mcrim_mitsuba as mcrim
-from mcrim_mitsuba.inference.hypotheses import fits_of, refuse_unlike, side_by_side
+from mcrim_mitsuba.inference.drivers import find_minima
+from mcrim_mitsuba.inference.fit import result_of
+from mcrim_mitsuba.inference.hypotheses import refuse_unlike, side_by_side
+from mcrim_mitsuba.inference.statistic import Statistic
 
 cases = cases_of(__file__)
 
@@ -42,7 +45,9 @@ def explained(model, **effects):
 
 
 def compared(explanations):
-    return side_by_side(explanations, fits_of(explanations))
+    fits = {name: own.fit(own.effects) for name, own in explanations.items()}
+    results = {name: result_of([fit], profile=False) for name, fit in fits.items()}
+    return side_by_side(explanations, results)
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +111,29 @@ def test_a_hypothesis_may_ask_for_sizes_that_are_not_usual(with_a_bubble):
     assert prior.quantile(0.5) == pytest.approx(whole.quantile(below + 0.5 * (1 - below)), rel=0.02)
     _, beyond = within(usual[1], 1.0)
     assert beyond.quantile(0.5) == pytest.approx(0.5 * (usual[1] + 1.0))
+
+
+def test_a_fit_begins_at_all_sizes_of_its_effects(with_a_bubble):
+    """Responses that bend at a node have minima on both sides of it."""
+    model = with_a_bubble(("gap_bubble",))
+    place = [p.name for p in model.free].index("bubble_fraction")
+    straight = model.predict
+
+    def with_a_hill(theta, **wanted):
+        away, made = (theta[place] - 0.15) / 0.04, straight(theta, **wanted)
+        rows = np.arange(len(made.signal)) % 2
+        raised = 1.0 + 0.3 * rows * math.exp(-(away**2))
+        slopes = made.signal_slopes * raised[:, None]
+        slopes[:, place] -= made.signal * (raised - 1.0) * 2.0 * away / 0.04
+        return replace(made, signal=made.signal * raised, signal_slopes=slopes)
+
+    model.predict = with_a_hill
+    model.free = tuple(
+        replace(p, start=0.05) if p.name == "bubble_fraction" else p for p in model.free
+    )
+    best, other = find_minima(Statistic(model))
+    assert abs(best.values["bubble_fraction"] - 0.25) < 0.06
+    assert other.values["bubble_fraction"] < 0.15 and other.chi2 > best.chi2 + 1.0
 
 
 # ---- from files ----
@@ -172,6 +200,12 @@ def test_side_by_side_from_files(mcrim, files):
     assert a["chi2"] > 26 > b["chi2"] and b["ndf"] == a["ndf"] - 2
     assert a["probability"] + b["probability"] == pytest.approx(1.0) and b["log_evidence"] == 0.0
     assert "They differ most at gel hole 4: " in out and "Next: mcrim " in out
+    # one fit, whoever shows it
+    mcrim.shown("calibrate", other, "--photons", "2e4", "--json", "c.json")
+    alone = json.loads(Path("c.json").read_text())
+    assert b["chi2"] == alone["chi2"]
+    for name, fitted in b["parameters"].items():
+        assert fitted == {n: alone["parameters"][name][n] for n in fitted}, name
     # what is called apart are the predictions that stand beside each other
     for mine, theirs in zip(a["rows"], b["rows"], strict=True):
         far = abs(mine["model"] - theirs["model"]) / mine["sigma"]
