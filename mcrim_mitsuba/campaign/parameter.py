@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 
 from mcrim_mitsuba.campaign import entries as schema
@@ -149,8 +149,8 @@ def read_parameter(
     bounds = given.get("min", usual[0]), given.get("max", usual[1])
     if fixed and known_range is not None and known_range[0] is not None:
         bounds = known_range[1:]  # beyond, an effect is not simulated
-    parameter = CampaignParameter(name, float(start), *bounds, fixed=fixed)
-    parameter = replace(parameter, prior=given.get("prior"), prior_sigma=given.get("prior_sigma"))
+    priors = {key: given.get(key) for key in ("prior", "prior_sigma")}
+    parameter = CampaignParameter(name, float(start), *bounds, fixed=fixed, **priors)
     _refuse_what_lies_outside(table, parameter)
     return parameter
 

@@ -59,7 +59,8 @@ EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 4
 #: Error of a simulation in a wrapping, over that of its reading, from which on it needs no more
 #: photons (those of the article's benches are 0.2 to 1.2). Elsewhere few take as long as many.
 _PRECISE = 0.7
-#: Part of the most photons of an effect that a first look takes, or all if they are fewer.
+#: Part of the most photons of an effect that a first look takes, or all that it has if they are
+#: fewer: a part of few would tell nothing.
 LOOK_PART = 1 / 8
 #: How many times as many one at a pair of effects takes, which is of one size only: that they add
 #: up is usual, and must not be lost in noise.
@@ -410,10 +411,8 @@ class ResponseMaker:
             (further,) = self._axes([acceptance], plain)
         nodes: list[_Node] = []
         for number in seeing:
-            run, row, photons = plain[number], readings[number], self._photons[number]
-            if is_look:
-                # an eighth of few photons would tell nothing
-                photons = min(photons, self._look_photons)
+            run, row, own = plain[number], readings[number], self._photons[number]
+            photons = min(own, self._look_photons) if is_look else own
             source, reference = self._sources(effect, run, photons)
             at_own_acceptance = self._at_own_acceptance(run)
             for place, values in _nodes(axes):
