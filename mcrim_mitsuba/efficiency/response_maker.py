@@ -333,7 +333,7 @@ class ResponseMaker:
         # where a model may change the acceptance, every effect's response depends on it
         acceptance = next((p for e in acting if e.of_beam for p in e.parameters), None)
         few = [
-            replace(run, photons=min(own, self._look_photons), check=False)
+            replace(run, photons=own, check=False)
             for run, own in zip(plain, self._photons, strict=True)
         ]
         for effect in acting:

@@ -45,7 +45,7 @@ RAYS = ("-o", "-e")
 AXES = ("-α", "-β", "-γ")
 #: Names that a refusal lists.
 _MOST_NAMES = 60
-_MARKUP = re.compile(r"</?[a-zA-Z][^<>]*>|[\\\"]")
+_MARKUP = re.compile(r"</?[a-zA-Z][^<>]*>|\\|\"\"")
 
 
 @dataclass(frozen=True)
