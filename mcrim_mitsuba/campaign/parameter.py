@@ -149,8 +149,10 @@ def read_parameter(
     bounds = given.get("min", usual[0]), given.get("max", usual[1])
     if fixed and known_range is not None and known_range[0] is not None:
         bounds = known_range[1:]  # beyond, an effect is not simulated
-    priors = {key: given.get(key) for key in ("prior", "prior_sigma")}
-    parameter = CampaignParameter(name, float(start), *bounds, fixed=fixed, **priors)
+    prior, prior_sigma = given.get("prior"), given.get("prior_sigma")
+    parameter = CampaignParameter(
+        name, float(start), *bounds, prior=prior, prior_sigma=prior_sigma, fixed=fixed
+    )
     _refuse_what_lies_outside(table, parameter)
     return parameter
 

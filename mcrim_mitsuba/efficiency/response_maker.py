@@ -59,8 +59,7 @@ EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 4
 #: Error of a simulation in a wrapping, over that of its reading, from which on it needs no more
 #: photons (those of the article's benches are 0.2 to 1.2). Elsewhere few take as long as many.
 _PRECISE = 0.7
-#: Part of the most photons of an effect that a first look takes, or all that it has if they are
-#: fewer: a part of few would tell nothing.
+#: Part of the most photons of an effect that a first look takes; of few a part tells nothing.
 LOOK_PART = 1 / 8
 #: How many times as many one at a pair of effects takes, which is of one size only: that they add
 #: up is usual, and must not be lost in noise.
