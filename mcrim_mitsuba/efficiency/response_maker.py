@@ -292,9 +292,8 @@ class ResponseMaker:
         wrapped = scene.parts.all("shape", "wrapping")
         if self._given or self._sigma is None or of_beam or not wrapped:
             return []
-        photons, check = self._look_photons, self._check
         return [
-            self._simulation(scene, values, photons, of_beam=False, check=check)
+            self._simulation(scene, values, self._look_photons, of_beam=False, check=self._check)
             for values in configurations(self.campaign)
         ]
 
@@ -410,8 +409,10 @@ class ResponseMaker:
             (further,) = self._axes([acceptance], plain)
         nodes: list[_Node] = []
         for number in seeing:
-            run, row, own = plain[number], readings[number], self._photons[number]
-            photons = min(own, self._look_photons) if is_look else own
+            run, row, photons = plain[number], readings[number], self._photons[number]
+            # a number of the bench is looked at as its tolerance is simulated, for every fit
+            if is_look and (effect.number is None or photons == self._effect_photons):
+                photons = min(photons, self._look_photons)
             source, reference = self._sources(effect, run, photons)
             at_own_acceptance = self._at_own_acceptance(run)
             for place, values in _nodes(axes):

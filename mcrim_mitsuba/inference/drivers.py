@@ -331,7 +331,7 @@ def _starts(statistic: Statistic, weights: Weights) -> list[Array]:
     for size in (size for size in sizes if size.name in statistic.names):
         bounds, held = statistic.parameter(size.name), [statistic.index(size.name)]
         nodes = size.origin(campaign.values) + np.array(size.nodes)
-        values = np.clip(nodes, bounds.minimum, bounds.maximum)
+        values = np.unique(np.clip(nodes, bounds.minimum, bounds.maximum))
         along = [statistic.theta({**first, size.name: value}) for value in values]
         ends = (newton(statistic, t, weights, held=held, steps=4, precision=0.05) for t in along)
         starts += lowest([*ends])

@@ -120,11 +120,9 @@ def compare_hypotheses(
     """
     given = [as_campaign(one) for one in campaigns]
     refuse_unlike(given)
-    first = given[0]
+    parameters = given[0].parameters
     # what is simulated depends on where the coefficients start, and fits do not
-    starts = {
-        n: first.parameters[n].start for n in (ALPHA_SCAT, ALPHA_ABS) if n in first.parameters
-    }
+    starts = {n: parameters[n].start for n in (ALPHA_SCAT, ALPHA_ABS) if n in parameters}
     benches = {
         name: CampaignSimulations(one.with_starts(starts), run)
         for name, one in zip(NAMES, given, strict=False)
@@ -142,9 +140,9 @@ def compare_hypotheses(
         scales = next((others.scales for others in explained.values()), {})
         switched_on = {effect.name: effect for effect in simulations.campaign.switched_on}
         models = simulations.models.reduced_model
-        baseline = find_minima(Statistic(models(())))[0]
-        explained[name] = Explanations(models, switched_on, baseline, scales)
         fits[name] = simulations.fit()
+        as_it_is = find_minima(Statistic(models(())))[0] if switched_on else fits[name].minimum
+        explained[name] = Explanations(models, switched_on, as_it_is, scales)
         explained[name].know(switched_on, fits[name].minimum)
     notes = [f"{name}: {note}" for name, fit in fits.items() for note in fit.notes]
     found = side_by_side(explained, fits)
