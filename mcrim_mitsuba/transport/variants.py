@@ -18,6 +18,7 @@ import importlib.metadata
 import os
 import platform
 import re
+import struct
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,6 +71,74 @@ def llvm_version(path: str | Path) -> tuple[int, int, int] | None:
     return major.value, minor.value, patch.value
 
 
+#: A small library of GCC's that Dr.Jit needs and LLVM asks for, which slim systems lack.
+LIBATOMIC = "libatomic.so.1"
+#: All that Dr.Jit calls of it, __atomic_compare_exchange_16, for x86-64: by ``lock cmpxchg16b``
+#: [rdi] becomes rcx:rdx if it was [rsi], which becomes what it was; al is whether they were equal.
+_COMPARE_EXCHANGE = bytes.fromhex("53 4889d3 488b06488b5608 f0480fc70f 488906 48895608 0f94c05bc3")
+
+
+def _provide_libatomic() -> None:
+    """Load a `LIBATOMIC` made in memory where the system has none: others find it by its name.
+
+    Raises InputError if it has none and cannot take this one.
+    """
+    if sys.platform != "linux":
+        return
+    with contextlib.suppress(OSError):
+        ctypes.CDLL(LIBATOMIC)
+        return
+    file = os.memfd_create(LIBATOMIC)
+    os.write(file, _libatomic())
+    try:
+        ctypes.CDLL(f"/proc/self/fd/{file}")
+    except OSError as error:
+        problem = f"Dr.Jit needs {LIBATOMIC}, which this system lacks ({error})"
+        mend = "install it: `apt-get install libatomic1`, or `dnf install libatomic`"
+        raise InputError(problem, mend) from None
+    finally:
+        os.close(file)
+
+
+def _libatomic() -> bytes:
+    """A shared library for Linux on x86-64 with one function.
+
+    System V Application Binary Interface, chapters 4 and 5; its versions of symbols: Linux Standard
+    Base Core 5.0, chapter 10.
+    """
+    page, header, segments, dynamic = 4096, 64, 4 * 56, 10 * 16
+    names = f"\0{LIBATOMIC}\0LIBATOMIC_1.0\0__atomic_compare_exchange_16\0".encode()
+    library, version, function = (names.index(name) for name in (b"lib", b"LIB", b"__"))
+    symbol = struct.pack("<I2BH2Q", function, 0x12, 0, 1, page, len(_COMPARE_EXCHANGE))
+    # by the dynamic linker's tag: names, symbols (the first is none), their hashes and versions
+    tables = {
+        5: names,
+        6: bytes(24) + symbol,
+        4: struct.pack("<5I", 1, 2, 1, 0, 0),
+        0x6FFFFFF0: struct.pack("<2H", 0, 2),
+        0x6FFFFFFC: struct.pack("<4H5I", 1, 0, 2, 1, 0x10F4B60, 20, 0, version, 0),
+    }
+    # the library's name, sizes of names and of a symbol, number of versions
+    tags, body = [14, library, 10, len(names), 11, 24, 0x6FFFFFFD, 1], b""
+    for tag, table in tables.items():
+        tags += [tag, header + segments + dynamic + len(body)]
+        body += table + bytes(-len(table) % 8)
+    end = header + segments + dynamic + len(body)
+    file = struct.pack(
+        "<16s2HI3QI6H", b"\x7fELF\2\1\1", 3, 62, 1, 0, header, 0, 0, header, 56, 4, 0, 0, 0
+    )
+    # tables, code, tables for the linker, and a stack that nothing is executed on
+    for kind, rights, start, size, align in (
+        (1, 6, 0, end, page),
+        (1, 5, page, len(_COMPARE_EXCHANGE), page),
+        (2, 6, header + segments, dynamic, 8),
+        (0x6474E551, 6, 0, 0, 16),
+    ):
+        file += struct.pack("<2I6Q", kind, rights, start, start, start, size, size, align)
+    file += struct.pack("<20Q", *tags, 0, 0) + body
+    return file.ljust(page, b"\0") + _COMPARE_EXCHANGE
+
+
 @functools.cache
 def selected_llvm() -> LlvmLibrary:
     """The library that Dr.Jit uses, or will use when it is imported.
@@ -78,7 +147,8 @@ def selected_llvm() -> LlvmLibrary:
     taken, else the newest one of the system, and this variable names it from then on.
 
     Raises InputError if the user's choice is missing, not a library or too old, if no usable
-    library is found, or if Dr.Jit was imported first and has loaded one that is too old.
+    library is found, if the system has no libatomic and takes none, or if Dr.Jit was imported first
+    and has loaded one that is too old.
     """
     if "drjit" in sys.modules:
         # what Dr.Jit has opened, where the system lists it (Linux); else what it was told to
@@ -94,6 +164,7 @@ def selected_llvm() -> LlvmLibrary:
                 "call mcrim_mitsuba.use_variant() before mitsuba and drjit are imported",
             )
         return library
+    _provide_libatomic()
     chosen = os.environ.get(ENVIRONMENT_VARIABLE)
     if chosen:
         return _checked(chosen, "environment")

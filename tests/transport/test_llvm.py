@@ -3,14 +3,17 @@
 The lists are those of the wheels in the package index. This machine's library stands for theirs.
 """
 
+import platform
+import subprocess
 import sys
 import tomllib
 
 import pytest
 from packaging.requirements import Requirement
-from places import ROOT, cases_of
+from places import ROOT, SCENES, cases_of
 from refusals import refusal
 
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.transport import variants as llvm
 
 cases = cases_of(__file__)
@@ -80,3 +83,41 @@ def test_one_wheel_brings_llvm_to_every_system(system, machine, python, wheels):
     needed = [Requirement(text) for text in project["dependencies"]]
     asked = [r.name for r in needed if "llvm" in r.name and r.marker.evaluate(here)]
     assert asked == wheels
+
+
+PHOTONS = 300_000
+#: A bench by threads that wait for each other, where the system has no libatomic.
+WITHOUT_LIBATOMIC = f"""
+import ctypes, sys
+real = ctypes.CDLL
+def lacking(name, *further):
+    if "libatomic" in str(name):
+        raise OSError(f"{{name}}: no such file")
+    return real(name, *further)
+ctypes.CDLL = lacking
+import mcrim_mitsuba as mcrim
+print(mcrim.simulate(sys.argv[1], photons={PHOTONS}, threads=3).eta)
+assert "/memfd:libatomic" in open("/proc/self/maps").read()
+"""
+
+
+@pytest.mark.skipif(
+    (sys.platform, platform.machine()) != ("linux", "x86_64"), reason="one is made for x86-64 alone"
+)
+def test_a_system_without_libatomic_gives_the_same_digits():
+    scene = str(SCENES / "camoo4.xml")
+    command = [sys.executable, "-c", WITHOUT_LIBATOMIC, scene]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) == mcrim.simulate(scene, photons=PHOTONS).eta
+
+
+def test_without_libatomic_and_where_none_can_be_made_a_line_says_so(monkeypatch):
+    def lacking(name):
+        raise OSError(f"{name}: wrong machine")
+
+    monkeypatch.delitem(sys.modules, "drjit", raising=False)
+    monkeypatch.setattr(llvm.sys, "platform", "linux")
+    monkeypatch.setattr(llvm.ctypes, "CDLL", lacking)
+    line = refusal(llvm.selected_llvm.__wrapped__)
+    assert "libatomic.so.1" in line and "apt-get install libatomic1" in line
