@@ -457,10 +457,10 @@ class TableUnit(SceneUnit):
         return super().modules | modules_of(effects)
 
     def make(self, threads: int | None) -> dict[int, Content]:
-        from mcrim_mitsuba.transport.collection import Recorder
-
         columns = [name for request in self.requests for name in request.columns]
         simulation = self.loaded(threads)
+        from mcrim_mitsuba.transport.collection import Recorder
+
         records = Recorder(simulation).record(
             self.proposals,
             self.photons,

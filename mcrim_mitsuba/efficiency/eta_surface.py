@@ -178,9 +178,9 @@ class GridBlock(LaunchBlock):
 
     def make(self, threads: int | None) -> dict[int, Content]:
         """Simulate; one thread weighs a launch's records while the next one is under way."""
+        simulation = self.loaded(threads)
         from mcrim_mitsuba.transport.collection import Recorder
 
-        simulation = self.loaded(threads)
         recorder, detectors = Recorder(simulation), simulation.model.detectors
         columns = [MASK] if any(cut.mask_mm is not None for cut in self.cuts) else []
         columns += [DETECTOR_HIT] if any(cut.detector is not None for cut in self.cuts) else []

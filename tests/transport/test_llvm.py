@@ -3,6 +3,7 @@
 The lists are those of the wheels in the package index. This machine's library stands for theirs.
 """
 
+import os
 import platform
 import subprocess
 import sys
@@ -85,29 +86,46 @@ def test_one_wheel_brings_llvm_to_every_system(system, machine, python, wheels):
     assert asked == wheels
 
 
-PHOTONS = 300_000
-#: A bench by threads that wait for each other, where the system has no libatomic.
-WITHOUT_LIBATOMIC = f"""
+#: Of every process on a system that has no libatomic.
+LACKING = """
 import ctypes, sys
 real = ctypes.CDLL
-def lacking(name, *further):
+def lacking(name, *further, **given):
     if "libatomic" in str(name):
-        raise OSError(f"{{name}}: no such file")
-    return real(name, *further)
+        raise OSError(f"{name}: no such file")
+    return real(name, *further, **given)
 ctypes.CDLL = lacking
-import mcrim_mitsuba as mcrim
+class OnlyWithLibatomic:
+    def find_spec(self, name, *further):
+        if name == "drjit" and "/memfd:libatomic" not in open("/proc/self/maps").read():
+            raise ImportError("libatomic.so.1: no such file")
+sys.meta_path.insert(0, OnlyWithLibatomic())
+"""
+PHOTONS = 300_000
+#: Benches by processes, and one by threads that wait for each other.
+BENCHES = f"""
+import mcrim_mitsuba as mcrim, sys
+from mcrim_mitsuba.runs.executors import ProcessExecutor, more_units_follow, use_executor
+with use_executor(ProcessExecutor(2)), more_units_follow():
+    mcrim.calibrate(sys.argv[2], photons=100_000, check=False)
+assert "drjit" not in sys.modules
 print(mcrim.simulate(sys.argv[1], photons={PHOTONS}, threads=3).eta)
-assert "/memfd:libatomic" in open("/proc/self/maps").read()
 """
 
 
 @pytest.mark.skipif(
     (sys.platform, platform.machine()) != ("linux", "x86_64"), reason="one is made for x86-64 alone"
 )
-def test_a_system_without_libatomic_gives_the_same_digits():
-    scene = str(SCENES / "camoo4.xml")
-    command = [sys.executable, "-c", WITHOUT_LIBATOMIC, scene]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+def test_a_system_without_libatomic_gives_the_same_digits(tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(LACKING)
+    scene, campaign = (str(SCENES / name) for name in ("camoo4.xml", "camoo4_campaign.toml"))
+    done = subprocess.run(
+        [sys.executable, "-c", BENCHES, scene, campaign],
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) == mcrim.simulate(scene, photons=PHOTONS).eta
 
