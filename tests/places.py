@@ -1,6 +1,8 @@
 """Where things lie, for all tests: said once."""
 
+import ctypes
 import shutil
+import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +16,21 @@ SCRIPTS = ROOT / "scripts"
 BALL = ROOT / "tests" / "golden" / "inputs" / "ball.xml"
 #: The article's campaign with all that it names.
 CAMPAIGN_FILES = ("camoo4_campaign.toml", "camoo4.xml", "camoo4_measured.csv")
+
+
+def _lacks_libatomic() -> bool:
+    """Before the package has made one: of this the loader would say that it is there."""
+    try:
+        ctypes.CDLL("libatomic.so.1")
+    except OSError:
+        return sys.platform == "linux"
+    return False
+
+
+#: Of what imports Mitsuba before our own functions.
+mitsuba_alone = pytest.mark.skipif(
+    _lacks_libatomic(), reason="Mitsuba alone needs libatomic, which this system lacks"
+)
 
 
 def raw_copy(scenes: Path, folder: Path, rows: str) -> Path:

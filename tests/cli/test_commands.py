@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from click.shell_completion import BashComplete
-from places import SCENES, cases_of, tables_of
+from places import SCENES, cases_of, mitsuba_alone, tables_of
 
 from mcrim_mitsuba import simulate
 from mcrim_mitsuba.campaign.campaign import read_campaign
@@ -145,6 +145,7 @@ def test_an_unusable_llvm_is_refused_before_dr_jit_sees_it(library, words):
     assert all(word in done.stderr for word in words)
 
 
+@mitsuba_alone
 def test_mitsuba_imported_first_is_said_not_suffered():
     """Dr.Jit has opened an LLVM by then: a good one is used, a bad one refused, nothing aborts."""
     code = (

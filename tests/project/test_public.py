@@ -13,7 +13,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from places import SCENES, cases_of
+from places import SCENES, cases_of, mitsuba_alone
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.rounding import pdg
@@ -74,6 +74,7 @@ def test_one_function_brings_the_plugins_and_llvm():
     assert python(code, DRJIT_LIBLLVM_PATH="") == "1\n"
 
 
+@mitsuba_alone
 @pytest.mark.parametrize("first", ["mcrim_mitsuba", "mitsuba"])
 def test_mitsuba_may_be_imported_before_or_after(first):
     """Where the LLVM that Dr.Jit finds by itself is fit: here the variable names it."""

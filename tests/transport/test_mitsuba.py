@@ -13,7 +13,7 @@ import drjit as dr
 import numpy as np
 import pytest
 from comparisons import assert_compatible
-from places import BALL, ROOT, cases_of
+from places import BALL, ROOT, cases_of, mitsuba_alone
 from scipy.stats import chisquare
 
 from mcrim_mitsuba.core.errors import InputError
@@ -206,6 +206,7 @@ def run(*words) -> subprocess.CompletedProcess:
     return subprocess.run(words, capture_output=True, text=True, cwd=ROOT, env=variables)
 
 
+@mitsuba_alone
 def test_the_package_may_come_after_mitsubas_variant():
     done = run(
         sys.executable,
@@ -233,6 +234,7 @@ def test_the_page_does_what_it_says():
     assert float(last) == pytest.approx(0.4, abs=0.012)
 
 
+@mitsuba_alone
 def test_mitsubas_own_command_knows_no_plugins_of_python():
     done = run(Path(sys.executable).with_name("mitsuba"), "scenes/camoo4.xml", "-m", "llvm_ad_rgb")
     assert done.returncode != 0

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 import sys
+from inspect import cleandoc
 
 #: Properties of Mitsuba's plugins that benches are made of, by type.
 _MITSUBAS = {
@@ -19,14 +20,14 @@ _MITSUBAS = {
     "sphere": "center radius to_world flip_normals",
 }
 _TYPE = re.compile(r'XML:\s+``<\w+ type="(\w+)"')
-_PROPERTIES = re.compile(r"^    (``.+``) : ", re.MULTILINE)
+_PROPERTIES = re.compile(r"^(``.+``) : ", re.MULTILINE)
 
 
 def properties_of_plugins() -> dict[str, list[str]]:
     """Names of properties by type of plugin; of this package's the loaded classes tell them."""
     properties = {name: names.split() for name, names in _MITSUBAS.items()}
     loaded = [m for name, m in sys.modules.items() if name.startswith(f"{__name__}.")]
-    for text in (c.__doc__ or "" for module in loaded for c in vars(module).values()):
+    for text in (cleandoc(c.__doc__ or "") for module in loaded for c in vars(module).values()):
         if told := _TYPE.search(text):
             properties[told[1]] = re.findall(r"``(\w+)``", " ".join(_PROPERTIES.findall(text)))
     return properties
