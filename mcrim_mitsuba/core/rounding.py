@@ -18,13 +18,13 @@ def pdg(value: float, sigma: float | None) -> str:
     up to 1000 and keep two. The value gets the same last place: ``7.5 ± 1.2``, or
     ``(1.23 ± 0.05)e7`` for very large or small numbers.
 
-    The value alone, to four digits, where the error is not known, None or nan, or 0: of what is
-    exact, such as a closed form. Raises ValueError if it is negative.
+    The value alone, to four digits, where the error is not known, None or nan, or 0 but for a
+    sum's rounding: of what is exact, such as a closed form. Raises ValueError if it is negative.
     """
     if sigma is None or not math.isfinite(sigma) or not math.isfinite(value):
         unknown = sigma is None or math.isnan(sigma)
         return f"{value:.4g}" if unknown else f"{value:.4g} ± {sigma:.2g}"
-    return pdg_parts(value, sigma) if sigma else f"{value:.4g}"
+    return f"{value:.4g}" if 0 <= sigma <= 1e-13 * abs(value) else pdg_parts(value, sigma)
 
 
 def pdg_parts(value: float, *sigmas: float) -> str:

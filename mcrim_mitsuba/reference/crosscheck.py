@@ -70,11 +70,10 @@ def crosscheck(
     without photons too.
 
     The run's photons are the tracer's, a million if nothing is said; Mitsuba's, which are cheap,
-    are four times as many. The two programs draw unrelated numbers from its seed, and its precision
-    does not matter.
+    are four times as many. The two draw unrelated numbers from its seed; its precision does not
+    matter. Where light may be cut off, Mitsuba flies from reflection to reflection, as the tracer.
 
-    Raises InputError if the scene cannot be read or is not sound, or has a part that the tracer
-    does not know.
+    Raises InputError if the scene is unreadable or unsound, or has a part unknown to the tracer.
     """
     from mcrim_mitsuba.reference.scene_bench import read_bench
     from mcrim_mitsuba.reference.tracer import trace
@@ -86,6 +85,7 @@ def crosscheck(
     ours = simulation.collect(
         4 * photons,
         seed=run.seed,
+        fold=simulation.crystal.scatters and simulation.integrator.max_depth is None,
         progress=lambda done, total, *_: run.tell("Mitsuba", done, total),
     )
     if ours.interrupted:

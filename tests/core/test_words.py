@@ -71,6 +71,13 @@ def test_the_rule_of_the_particle_data_group(value, sigma, text):
     assert pdg(value, sigma) == text
 
 
+def test_what_rounding_leaves_of_an_error_is_none():
+    """Of a beam's flight in air: 3.3531498095175616 ± 0.0000000000000019 ps was shown."""
+    assert pdg(3.3531498095175616, 1.9e-15) == "3.353"
+    assert pdg(-2.5, 1e-14) == "-2.5"
+    assert pdg(0.98, 4.9e-10).endswith(" ± 0.0000000005")
+
+
 @given(st.floats(-1e9, 1e9), st.floats(1e-3, 1e9))
 def test_a_rounded_number_is_within_its_error(value, sigma):
     text, _, power = pdg(value, sigma).replace("(", "").replace(")", "").partition("e")

@@ -66,6 +66,16 @@ def test_uneven_scattering_behind_a_round_wall(scenes):
     assert crosscheck(scene.edited(uneven), run=Run(50_000, seed=1)).agrees
 
 
+def test_light_that_a_clear_crystal_keeps_is_cut_off_after_as_many_flights(scenes):
+    """Mitsuba passed over reflections, the tracer did not: 1 % was cut off there, nothing here."""
+    compared = crosscheck(
+        scenes / "luag_fibre.xml", {"alpha_scat_per_cm": 0.0}, run=Run(20_000, seed=1)
+    )
+    assert compared.agrees
+    (cut_off,) = (row for row in compared.rows if row.quantity == "truncated")
+    assert cut_off.z is not None
+
+
 def test_a_scene_that_shall_not_be_checked_is_not(scenes):
     """It was, whatever the run said: here a gap that looks like micrometres."""
     run = Run(1000, seed=2, check=False)
