@@ -81,11 +81,12 @@ def is_there(path: Path) -> bool:
     What must not be looked at is there: reading it says why it cannot be read.
     """
     try:
-        return path.exists()
+        path.stat()
     except PermissionError:
         return True
     except (OSError, ValueError):
         return False
+    return True
 
 
 def resolved(path: Path) -> Path:
@@ -455,6 +456,9 @@ def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[st
     suffix, json_only = path.suffix.lower(), option == "--json"
     refused = (*_NEVER, ".csv") if json_only else _NEVER
     try:
+        # of a name that no file can have pathlib says since Python 3.14 that none has it
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            path.lstat()
         there = [file for file in inputs if file.exists()]
         folders = [resolved(file) for file in there if file.is_dir()]
         if path.is_dir():
