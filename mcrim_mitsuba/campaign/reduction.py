@@ -180,14 +180,10 @@ def _mounting(
     file = row.histogram
     assert file is not None
     histogram = read_photons(file, calibration)
-    try:
+    at_window = {"path": table.path, "line": row.line, "column": "window_low"}
+    with placed(path=file) if row.window is None else placed(file.name, **at_window):
         window = window_of(histogram, row.window)
         peak = fit_histogram(histogram, shape=shape, window=window, below=below)
-    except InputError as error:
-        if row.window is None:
-            raise InputError(error.problem, error.mend, path=file) from None
-        problem = f"{file.name}: {error.problem}"
-        raise table.refusal(row, "window_low", problem, error.mend) from None
     if peak is None and row.use:
         mend = f"measure longer, or leave it out with use = 0 in {table.path.name}"
         raise InputError("no peak stands out of the histogram", mend, path=file)
