@@ -103,7 +103,7 @@ def _series_of(fit: Calibration) -> dict[str, list[int]]:
     They lie along where light is born: nobody reads what differs in that as single configurations.
     """
     readings, members = fit.model.readings, dict[str, list[int]]()
-    if not all(SOURCE_Z in reading.parameters for reading in readings):
+    if not readings or not all(SOURCE_Z in reading.parameters for reading in readings):
         return members
     columns = [n for n in fit.model.campaign.measurements.columns if n != SOURCE_Z]
     for place, reading in enumerate(readings):
@@ -113,7 +113,7 @@ def _series_of(fit: Calibration) -> dict[str, list[int]]:
         if reading.energy_keV is not None:
             others.append(f"{reading.energy_keV:g} keV")
         members.setdefault(", ".join([reading.sample, *others]).strip(" ,"), []).append(place)
-    enough = max(map(len, members.values()), default=0) >= _LEAST_IN_A_SERIES
+    enough = max(map(len, members.values())) >= _LEAST_IN_A_SERIES
     return members if enough else {}
 
 
