@@ -375,7 +375,7 @@ def to_json(raw: RawData) -> dict[str, Any]:
                 **attributes(reduced.reading, "label signal sigma use"),
                 **attributes(reduced.combined, of_mean),
                 "mountings": [
-                    attributes(mounting, "file line=row.line use consistent")
+                    attributes(mounting, "file line=row.line use=row.use consistent")
                     | {"peak": mounting.peak and attributes(mounting.peak, of_peak)}
                     for mounting in reduced.mountings
                 ],

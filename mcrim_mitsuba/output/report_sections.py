@@ -370,7 +370,6 @@ def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
 
     Raises InputError if a file cannot be read any more.
     """
-
     scene, folder = campaign.scene, campaign.effects_folder
     files = [("campaign", campaign.path), ("measurements", campaign.measurements.path)]
     files.append(("scene", scene.path))
