@@ -195,13 +195,10 @@ def serve(
     Raises InputError if the port is taken, or cannot be one.
     """
     server, address = listen(application, port=port, key=key)
-    try:
+    # an interrupt before serve_forever; later it ends that as if it were asked to
+    with server, suppress(KeyboardInterrupt):
         on_ready(address)
         server.serve_forever()
-    except KeyboardInterrupt:  # before serve_forever; later it ends that as if it were asked to
-        pass
-    finally:
-        server.server_close()
 
 
 def listen(application: Flask, *, port: int | None, key: str) -> tuple[BaseWSGIServer, str]:

@@ -26,7 +26,7 @@ from mcrim_mitsuba.campaign.editor import (
 )
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.files import attributes, json_text, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import value_text
 from mcrim_mitsuba.core.run import Run
@@ -161,10 +161,8 @@ def _cells(campaign: Campaign) -> dict[str, list[str]]:
 
 def _with_cells(campaign: Campaign, cells: Mapping[str, list[str]], folder: Path) -> Campaign:
     """The campaign with other cells; the refusal stands beside the cell, and tells no line."""
-    try:
+    with placed():
         return with_table(campaign, table_text(campaign.measurements.comments, cells), folder)
-    except InputError as error:
-        raise InputError(error.problem, error.mend) from None
 
 
 def scene_file(

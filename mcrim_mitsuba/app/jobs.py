@@ -99,18 +99,17 @@ class Jobs:
 
     def stop(self, key: str | None = None) -> bool:
         """End the job of a button, or let it not begin; None: the running one. Was there one?"""
-        dropped: list[PageJob] = []
         with self._there_is_work:
             running = self._status.job
             if running is not None and key in (None, running.key):
                 self._cancelled = True
                 self._status = replace(self._status, stage="stopping")
-            else:
-                dropped = [job for job in self._waiting if job.key == key]
-                self._waiting = deque(job for job in self._waiting if job.key != key)
+                return True
+            dropped = [job for job in self._waiting if job.key == key]
+            self._waiting = deque(job for job in self._waiting if job.key != key)
         for job in dropped:
             job.undo()
-        return bool(dropped) or (running is not None and key in (None, running.key))
+        return bool(dropped)
 
     def stop_all(self) -> None:
         """Let nothing that was begun go on."""

@@ -50,11 +50,12 @@ class LiveModel:
     """
 
     def __init__(self, campaign: Campaign, run: Run) -> None:
-        self._simulations = CampaignSimulations(campaign, run)
+        #: What there is of them serves those ``of`` other knowledge or readings too.
+        self.simulations = CampaignSimulations(campaign, run)
         self._simulated: CampaignModels | None = None
         self._shape = _shape(campaign)
         #: What can be moved.
-        self.controls = _controls(campaign, self._simulations)
+        self.controls = _controls(campaign, self.simulations)
         #: Rises whenever the model says something else than before.
         self.version = 0
         #: What tells its anchors from those of other readings.
@@ -79,18 +80,14 @@ class LiveModel:
             before, precise = self._simulated.simulated, self._simulated.precise
             if before & precise >= set(effects):
                 return
-        self._simulations.simulate(sorted({*before, *effects}), look=before - {*effects})
-        self.take(self._simulations)
+        self.simulations.simulate(sorted({*before, *effects}), look=before - {*effects})
+        self.take(self.simulations)
 
     def take(self, simulations: CampaignSimulations) -> None:
         """Go on with what was simulated, here or for other knowledge of the same bench."""
-        self._simulations = simulations.of(self._simulations.campaign)
+        self.simulations = simulations.of(self.simulations.campaign)
         self._simulated = simulations.models
         self.version += 1
-
-    def simulations_of(self, campaign: Campaign) -> CampaignSimulations:
-        """The simulations with other knowledge or readings: what there is serves them too."""
-        return self._simulations.of(campaign)
 
     def settle_at(self, campaign: Campaign, settings: Settings) -> tuple[dict[str, float], Any]:
         """Simulate all that is switched on together, where the controls are.
@@ -103,10 +100,10 @@ class LiveModel:
         # sizes of other effects may be the scene's own parameters: those stay as they are
         used = {*campaign.parameters, *(p.name for e in switched_on for p in e.parameters)}
         values = {name: value for name, value in settings.values.items() if name in used}
-        if not self._simulations.maker.is_exact(switched_on):
+        if not self.simulations.maker.is_exact(switched_on):
             free = self._model(campaign, names, self.controls.known(settings)).free
             here = {p.name: values.get(p.name, p.start) for p in free if p.name != SCALE}
-            return values, self._simulations.anchored_model(campaign.with_effects(names), here)
+            return values, self.simulations.anchored_model(campaign.with_effects(names), here)
         return values, None
 
     # ---- what the model says -----------------------------------------------------------------

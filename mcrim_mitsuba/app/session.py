@@ -197,7 +197,7 @@ class Session:
             before, campaign = self.state.settings, self._opened
             self.model.live.simulate()
             self.history.change()
-            fit = self.model.live.simulations_of(campaign).fit()
+            fit = self.model.live.simulations.of(campaign).fit()
             self._take_fit(fit, Settings(values=before.values), before, campaign)
         self.model.make_ready(effects)
 
@@ -264,7 +264,7 @@ class Session:
         self._make_ready(asked.effects)
         live, campaign = self.model.live, self.state.campaign
         fitted, rest = live.controls.campaign_at(campaign, asked)
-        fit = live.simulations_of(fitted).settled_fit(rest, asked.values)
+        fit = live.simulations.of(fitted).settled_fit(rest, asked.values)
         with self.history.lock:
             self.history.keep(before)
             self.model.keep_anchor(asked, fit.model)
@@ -302,7 +302,7 @@ class Session:
             self._make_ready()
             live, campaign = self.model.live, self.state.campaign
             fitted, _ = live.controls.campaign_at(campaign, replace(settings, effects=()))
-            simulations = live.simulations_of(fitted)
+            simulations = live.simulations.of(fitted)
             diagnosis = diagnose(simulations)
             live.take(simulations)
             with self.history.lock:

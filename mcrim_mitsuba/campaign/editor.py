@@ -19,7 +19,7 @@ import tomlkit
 from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.known_physics import CRYSTAL_INDEX, INDEX, material_of
-from mcrim_mitsuba.campaign.measurements import ENERGY, KIND, SAMPLE, SHARED, Measurements
+from mcrim_mitsuba.campaign.measurements import ENERGY, KIND, LIGHT, SAMPLE, SHARED, Measurements
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.raw_data import put_numbers, table_in
 from mcrim_mitsuba.campaign.reduction import RawData
@@ -277,34 +277,28 @@ def measurements_text(measurements: Measurements) -> str:
 
 def measurement_cells(measurements: Measurements) -> dict[str, list[str]]:
     """Cells by column; those of an optional column only where a reading needs it."""
-    readings = measurements.readings
-    cells = {
-        "label": [reading.label for reading in readings],
-        "signal": [f"{reading.signal:.15g}" for reading in readings],
-        "sigma": [f"{reading.sigma:.15g}" for reading in readings],
-    }
-    if any(reading.of_beam for reading in readings):
-        cells[KIND] = [reading.kind for reading in readings]
-    if any(reading.sample for reading in readings):
-        cells[SAMPLE] = [reading.sample for reading in readings]
-    if any(reading.energy_keV is not None for reading in readings):
-        energies = (reading.energy_keV for reading in readings)
-        cells[ENERGY] = ["" if energy is None else f"{energy:.15g}" for energy in energies]
-    for name in measurements.switches:
-        cells[name] = [str(int(name not in reading.without)) for reading in readings]
-    for name in measurements.columns:
-        # beams leave cells of the bench empty, and light those of the beam
-        values = (reading.parameters.get(name) for reading in readings)
-        cells[name] = ["" if value is None else value_text(value) for value in values]
-    if not all(reading.use for reading in readings):
-        cells["use"] = [str(int(reading.use)) for reading in readings]
-    if any(reading.group is not None for reading in readings):
-        cells["group"] = [reading.group or "" for reading in readings]
-        sigmas = (reading.group_sigma for reading in readings)
-        cells["group_sigma"] = ["" if sigma is None else f"{sigma:g}" for sigma in sigmas]
-    if any(reading.shared for reading in readings):
-        cells[SHARED] = [" ".join(f"{of:g}" for of in reading.shared) for reading in readings]
-    return cells
+    rows = [
+        {
+            "label": reading.label,
+            "signal": f"{reading.signal:.15g}",
+            "sigma": f"{reading.sigma:.15g}",
+            KIND: reading.kind,
+            SAMPLE: reading.sample,
+            ENERGY: "" if reading.energy_keV is None else f"{reading.energy_keV:.15g}",
+            **{name: str(int(name not in reading.without)) for name in measurements.switches},
+            # beams leave cells of the bench empty, and light those of the beam
+            **{name: value_text(reading.parameters.get(name, "")) for name in measurements.columns},
+            "use": str(int(reading.use)),
+            "group": reading.group or "",
+            "group_sigma": "" if reading.group_sigma is None else f"{reading.group_sigma:g}",
+            SHARED: " ".join(f"{of:g}" for of in reading.shared),
+        }
+        for reading in measurements.readings
+    ]
+    usual = {KIND: LIGHT, "use": "1", SAMPLE: "", ENERGY: "", SHARED: ""}
+    usual |= {"group": "", "group_sigma": ""}
+    cells = {name: [row[name] for row in rows] for name in rows[0]}
+    return {n: of for n, of in cells.items() if any(cell != usual.get(n) for cell in of)}
 
 
 def table_text(comments: Iterable[str], cells: Mapping[str, Sequence[str]]) -> str:
@@ -381,7 +375,7 @@ def to_json(raw: RawData) -> dict[str, Any]:
                 **attributes(reduced.reading, "label signal sigma use"),
                 **attributes(reduced.combined, of_mean),
                 "mountings": [
-                    attributes(mounting, "file line=row.line use consistent")
+                    attributes(mounting, "file line=row.line use=row.use consistent")
                     | {"peak": mounting.peak and attributes(mounting.peak, of_peak)}
                     for mounting in reduced.mountings
                 ],

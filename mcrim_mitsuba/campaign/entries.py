@@ -86,8 +86,8 @@ def _share(meaning: str) -> dict[str, Any]:
     return _number(meaning, minimum=0, exclusiveMaximum=1)
 
 
-def _words(meaning: str) -> dict[str, Any]:
-    return {"type": "string", "minLength": 1, "maxLength": LONGEST_WORDS, "description": meaning}
+def _words(meaning: str, longest: int = LONGEST_WORDS) -> dict[str, Any]:
+    return {"type": "string", "minLength": 1, "maxLength": longest, "description": meaning}
 
 
 def _file(meaning: str) -> dict[str, Any]:
@@ -271,14 +271,13 @@ NEXT_ENTRIES: Entries = {
 CAMPAIGN: Entries = {
     "title": _words("What the campaign is called; figures carry it. The file's name unless given"),
     "unit": _words("Unit of the signals of light, such as photoelectrons per event"),
-    "remark": {
-        **_words("What every verb that fits repeats among its notes; repair writes one"),
-        "maxLength": LONGEST_REMARK,
-    },
-    TO_QUOTE: {
-        **_words("The light yield over all that the readings allow, in words, as repair writes it"),
-        "maxLength": LONGEST_REMARK,
-    },
+    "remark": _words(
+        "What every verb that fits repeats among its notes; repair writes one", LONGEST_REMARK
+    ),
+    TO_QUOTE: _words(
+        "The light yield over all that the readings allow, in words, as repair writes it",
+        LONGEST_REMARK,
+    ),
     CONVENTION: {
         "enum": [ARTICLE],
         "description": "Conventions and physics of V. Alenkov et al., JINST 8 (2013) P06002",

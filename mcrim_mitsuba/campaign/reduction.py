@@ -58,18 +58,13 @@ class RawFile:
 class Mounting:
     """One mounting's histogram and its peak."""
 
-    #: Where the measurement file names it.
+    #: Where the measurement file names it, and whether the reading rests on it.
     row: Reading
     histogram: Histogram
     #: None where no peak stands out; such a mounting is not used.
     peak: Peak | None
     #: Whether it agrees with the others; True where it is not used.
     consistent: bool
-
-    @property
-    def use(self) -> bool:
-        """Whether the reading rests on it."""
-        return self.row.use
 
     @property
     def file(self) -> Path:
@@ -94,7 +89,7 @@ class ReducedReading:
     @property
     def counted(self) -> tuple[Mounting, ...]:
         """The mountings in use; all of them in a reading that is not used."""
-        return tuple(m for m in self.mountings if m.use or not self.reading.use)
+        return tuple(m for m in self.mountings if m.row.use or not self.reading.use)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +142,7 @@ def _notes_on(reduced: ReducedReading) -> Iterator[str]:
     for mounting in reduced.counted:
         for warning in mounting.peak.warnings if mounting.peak is not None else ():
             yield f"{mounting.file.name} ({label}): {warning}"
-    shapes = {m.peak.shape for m in reduced.mountings if m.use and m.peak is not None}
+    shapes = {m.peak.shape for m in reduced.mountings if m.row.use and m.peak is not None}
     if len(shapes) > 1:
         yield (
             f"the peaks of {label} were fitted with different shapes, which differ in their "
@@ -180,14 +175,10 @@ def _mounting(
     file = row.histogram
     assert file is not None
     histogram = read_photons(file, calibration)
-    try:
+    at_window = {"path": table.path, "line": row.line, "column": "window_low"}
+    with placed(path=file) if row.window is None else placed(file.name, **at_window):
         window = window_of(histogram, row.window)
         peak = fit_histogram(histogram, shape=shape, window=window, below=below)
-    except InputError as error:
-        if row.window is None:
-            raise InputError(error.problem, error.mend, path=file) from None
-        problem = f"{file.name}: {error.problem}"
-        raise table.refusal(row, "window_low", problem, error.mend) from None
     if peak is None and row.use:
         mend = f"measure longer, or leave it out with use = 0 in {table.path.name}"
         raise InputError("no peak stands out of the histogram", mend, path=file)
@@ -196,11 +187,11 @@ def _mounting(
 
 def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
     """The mean of the mountings in use; of all, in a reading that is not used."""
-    used = any(mounting.use for mounting in mountings)
+    used = any(mounting.row.use for mounting in mountings)
     peaks = [
         (place, (mounting.histogram, mounting.peak))
         for place, mounting in enumerate(mountings)
-        if mounting.peak is not None and (mounting.use or not used)
+        if mounting.peak is not None and (mounting.row.use or not used)
     ]
     if not peaks:
         row = mountings[0].row

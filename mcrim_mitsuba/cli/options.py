@@ -461,14 +461,11 @@ class Work:
         if self.cluster is not None:
             from mcrim_mitsuba.runs.cluster import ClusterExecutor
 
-            executor = ClusterExecutor(self.cluster)
-            try:
+            with contextlib.closing(ClusterExecutor(self.cluster)) as executor:
                 if not executor.workers:
                     waiting = f"no workers at {self.cluster} yet: the work begins with the first"
                     terminal.console("-").say_notes([waiting])
                 yield executor
-            finally:
-                executor.close()
         elif self.part is not None:
             folder = UnitFolder(self.units)
             folder.begin(_command(), self.part)

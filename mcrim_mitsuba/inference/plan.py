@@ -400,7 +400,7 @@ def measured_conditions(campaign: Campaign) -> Conditions:
     readings = () if campaign.raw is None else campaign.raw.readings.values()
     variances, degrees, spreads = 0.0, 0, []
     for reading in readings:
-        used = [m.peak for m in reading.mountings if m.use and m.peak is not None]
+        used = [m.peak for m in reading.mountings if m.row.use and m.peak is not None]
         spreads += [p.intrinsic_spread for p in used if p.intrinsic_spread is not None]
         if len(used) > 1:
             relative = [peak.centroid / reading.combined.mean for peak in used]

@@ -85,12 +85,6 @@ class FittedResult(CampaignShown):
     Where a campaign does not fit one of them, asking for it is an AttributeError.
     """
 
-    # a type checker shall refuse attributes that are not declared
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> FittedParameter:
-            return self._fitted(name)
-
     def __dir__(self) -> list[str]:
         absent = set(_PARAMETERS) - set(self.__dict__.get("parameters", {}))
         return sorted(set(super().__dir__()) - absent)
@@ -103,6 +97,9 @@ class FittedResult(CampaignShown):
             return FittedParameter(**fields_of(parameters[name]), name=name)
         hint = f"; it has fitted {', '.join(parameters)}" if name in _PARAMETERS else ""
         raise AttributeError(f"{type(self).__name__} has no {name}{hint}")
+
+    if not TYPE_CHECKING:  # a type checker shall refuse attributes that are not declared
+        __getattr__ = _fitted
 
     @property
     def light_yield_ph_per_keV(self) -> FittedParameter:

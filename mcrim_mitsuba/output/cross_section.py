@@ -28,7 +28,7 @@ from scipy.ndimage import binary_erosion
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
 from mcrim_mitsuba.core.numbers import Value, said
-from mcrim_mitsuba.output.figure_style import fate_style, ordered, paper
+from mcrim_mitsuba.output.figure_style import Drawing, fate_style, ordered, paper
 from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
 from mcrim_mitsuba.transport.cut import CrossSection, Trace, cross_section, masked
 from mcrim_mitsuba.transport.launch_plan import LANES
@@ -534,7 +534,7 @@ def write_cross_section(figure: Figure, path: str | Path) -> None:
     write_bytes(path, content.getvalue())
 
 
-def figure_of_check(checked: CheckResult) -> Figure:
+def figure_of_check(checked: CheckResult) -> Drawing:
     """The cross-section of a checked scene, what is wrong with it in red.
 
     Where such a scene cannot be assembled it is drawn without the override that is wrong, or with 1
@@ -552,7 +552,7 @@ def figure_of_check(checked: CheckResult) -> Figure:
                 checked.scene, overrides, variant=run.variant, threads=run.threads, check=False
             )
             faces = interfaces_of(simulation.file, simulation.model)
-            return cross_section_figure(simulation, faces, faults=faults)
+            return Drawing(cross_section_figure(simulation, faces, faults=faults))
     lines = []
     for fault in faults:  # of which there are some: what is sound can be assembled
         lines += ["", *textwrap.wrap(visible(str(fault)), 100)]
@@ -563,7 +563,7 @@ def figure_of_check(checked: CheckResult) -> Figure:
     FigureCanvasAgg(figure)
     look: dict[str, Any] = {"color": _FAULT, "size": 11, "family": "monospace", "va": "center"}
     figure.text(0.02, 0.5, "\n".join(lines), parse_math=False, **look)
-    return figure
+    return Drawing(figure)
 
 
 def _faulty_surfaces(

@@ -124,7 +124,7 @@ def calibration_pieces(calibration: ChannelCalibration) -> list[Piece]:
 
 
 def _name(mounting: Mounting) -> str:
-    if not mounting.use:
+    if not mounting.row.use:
         return f"{mounting.file.name} (not used)"
     return mounting.file.name + ("" if mounting.consistent else " (far from the others)")
 

@@ -51,16 +51,12 @@ class Column:
 
     def cell(self, record: Any) -> Cell:
         """What it shows of a record."""
-        if callable(self.of):
-            value, sigma = self.of(record), None
-        else:
-            attribute = self.of or self.name or self.title
-            value = attrgetter(attribute)(record)
-            sigma = attrgetter(f"{attribute}_sigma")(record) if self.form == "±" else None
+        attribute = self.of or self.name or self.title
+        value = attribute(record) if callable(attribute) else attrgetter(attribute)(record)
         if isinstance(value, Cell):
             return value
         if self.form == "±":
-            return measured(value, sigma)
+            return measured(value, attrgetter(f"{attribute}_sigma")(record))
         return shown(value, self.form) if self.form else cell_of(value)
 
 

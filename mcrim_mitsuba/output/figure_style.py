@@ -263,8 +263,9 @@ class Drawing:
     """A figure with the numbers behind it."""
 
     figure: Figure
-    columns: Sequence[str]
-    rows: Sequence[Sequence[object]]
+    #: Of the CSV; none of a cross-section.
+    columns: Sequence[str] = ()
+    rows: Sequence[Sequence[object]] = ()
 
     def entitled(self, title: str) -> Drawing:
         """Put a title over the figure, above what it says there itself; gives itself back."""
@@ -273,12 +274,14 @@ class Drawing:
         entitle(self.figure, words, "normal" if "\n" in subtitle else "bold")
         return self
 
-    def save(self, path: str | Path) -> tuple[Path, Path]:
-        """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+    def save(self, path: str | Path) -> tuple[Path, ...]:
+        """Write the figure (PNG or PDF) and its numbers, if any (CSV of the same name).
 
         Raises InputError if a file cannot be written.
         """
         picture, numbers = save(self.figure, path), numbers_beside(path)
+        if not self.columns:
+            return (picture,)
         write_text(numbers, numbers_text(self.columns, self.rows))
         return picture, numbers
 

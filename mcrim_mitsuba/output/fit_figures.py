@@ -77,9 +77,9 @@ def draw_comparison(
     # of several suspicions on one reading the first, which is the strongest
     weakest_first = _suspects(before)[::-1]
     suspects = {label: suspect.kind for suspect in weakest_first for label in suspect.labels}
-    if (series := _series_of(before)) is not None:
-        figure = _draw_along(series, before, after, unit)
-        return style.Drawing(figure, *_comparison_numbers(before, after, suspects))
+    numbers = _comparison_numbers(before, after, suspects)
+    if series := _series_of(before):
+        return style.Drawing(_draw_along(series, before, after, unit), *numbers)
     figure, upper, lower = _over_readings(before.rows, (1.4, 1))
     places = np.arange(len(before.rows))
     name = "as it is" if isinstance(before, Comparison) else "fit"
@@ -94,29 +94,17 @@ def draw_comparison(
         for row, tick in zip(before.rows, lower.get_xticklabels(), strict=True):
             if row.label in suspects:
                 tick.set(fontweight="bold", color=style.WARM)
-    return style.Drawing(figure, *_comparison_numbers(before, after, suspects))
+    return style.Drawing(figure, *numbers)
 
 
-class _Series(NamedTuple):
-    """Readings that differ in one number of the bench, and otherwise by a few treatments."""
+def _series_of(fit: Calibration) -> dict[str, list[int]]:
+    """Places of readings that are drawn as curves, by what they have in common, in words; or none.
 
-    parameter: str
-    #: (readings,) float64: That number of every reading.
-    values: np.ndarray
-    #: Places of readings by what they have in common, in words.
-    members: dict[str, list[int]]
-
-
-def _series_of(fit: Calibration) -> _Series | None:
-    """The number along which readings are drawn as curves; None where there is none.
-
-    It is where light is born, as nobody reads what differs in that as single configurations.
+    They lie along where light is born: nobody reads what differs in that as single configurations.
     """
-    readings = fit.model.readings
+    readings, members = fit.model.readings, dict[str, list[int]]()
     if not readings or not all(SOURCE_Z in reading.parameters for reading in readings):
-        return None
-    values = np.array([float(reading.parameters[SOURCE_Z]) for reading in readings])
-    members: dict[str, list[int]] = {}
+        return members
     columns = [n for n in fit.model.campaign.measurements.columns if n != SOURCE_Z]
     for place, reading in enumerate(readings):
         others = [said(n, reading.parameters[n]) for n in columns if n in reading.parameters]
@@ -126,27 +114,28 @@ def _series_of(fit: Calibration) -> _Series | None:
             others.append(f"{reading.energy_keV:g} keV")
         members.setdefault(", ".join([reading.sample, *others]).strip(" ,"), []).append(place)
     enough = max(map(len, members.values())) >= _LEAST_IN_A_SERIES
-    return _Series(SOURCE_Z, values, members) if enough else None
+    return members if enough else {}
 
 
 def _draw_along(
-    series: _Series, before: Calibration, after: Calibration | None, unit: str
+    series: dict[str, list[int]], before: Calibration, after: Calibration | None, unit: str
 ) -> Figure:
-    """A curve for each treatment over one number of the bench, and its pulls below."""
+    """A curve for each treatment over where light is born, and its pulls below."""
+    values = np.array([float(reading.parameters[SOURCE_Z]) for reading in before.model.readings])
     parts: dict[str, Any] = {"lines": "y", "sharex": True, "height_ratios": (1.7, 1)}
     figure, (upper, lower) = style.axes_of(8.6, 7.4, 2, **parts)
     _bands_of_pulls(lower)
     fits = [(before, (0, (2.2, 1.2))), *([(after, "-")] if after is not None else [])]
     shown = fits[-1][0]
-    colours = colormaps["viridis"](np.linspace(0.0, 0.85, len(series.members)))
+    colours = colormaps["viridis"](np.linspace(0.0, 0.85, len(series)))
     handles: list[Any] = []
-    for (words, places), colour in zip(series.members.items(), colours, strict=True):
-        places = sorted(places, key=lambda place: series.values[place])
+    for (words, places), colour in zip(series.items(), colours, strict=True):
+        places = sorted(places, key=lambda place: values[place])
         for fit, line_style in fits:
             models = [fit.rows[place].model for place in places]
-            upper.plot(series.values[places], models, color=colour, lw=1.8, ls=line_style)
+            upper.plot(values[places], models, color=colour, lw=1.8, ls=line_style)
         for place in places:
-            row, at = shown.rows[place], series.values[place]
+            row, at = shown.rows[place], values[place]
             look: dict[str, Any] = {"color": colour, "mfc": colour if row.use else "white"}
             upper.errorbar(at, row.measured, row.sigma, fmt="o", ms=4.5, capsize=2.5, **look)
             lower.plot(at, row.pull, "o", ms=4.5, **look)
@@ -162,7 +151,7 @@ def _draw_along(
     upper.set_ylabel(style.signal_title(unit, "\n"), parse_math=False)
     upper.yaxis.set_major_formatter("{x:g}")
     upper.set_ylim(bottom=0.0)
-    lower.set_xlabel(titled(series.parameter))
+    lower.set_xlabel(titled(SOURCE_Z))
     style.legend_above(upper, handles, ncols=2, handlelength=2.2)
     return figure
 
@@ -173,17 +162,17 @@ def _comparison_numbers(
     """A reading a row: what was measured, what was predicted before and after, and suspicions."""
     left_out = before.left_out_pulls if isinstance(before, Comparison) else {}
     mended = {row.label: row for row in after.rows} if after else {}
-    columns, rows = style.numbers_of(
+    further = {
+        f"{name}_after": lambda row, name=name: getattr(mended.get(row.label), name, None)
+        for name in _PREDICTED.split()
+    }
+    return style.numbers_of(
         before.rows,
         f"{_MEASURED} {_PREDICTED}",
         left_out_pull=lambda row: left_out.get(row.label),
         suspect=lambda row: suspects.get(row.label),
+        **further,
     )
-    predicted = _PREDICTED.split()
-    columns += [f"{name}_after" for name in predicted]
-    after_rows = [mended.get(row.label) for row in before.rows]
-    cells = [tuple(getattr(row, name, None) for name in predicted) for row in after_rows]
-    return columns, [(*row, *more) for row, more in zip(rows, cells, strict=True)]
 
 
 def _over_readings(

@@ -417,7 +417,7 @@ def draw_raw_data(raw: RawData, kind: str) -> style.Drawing:
 
 
 def _fitted(label: str, mounting: Mounting) -> FittedHistogram:
-    name = mounting.file.name + ("" if mounting.use else " (not used)")
+    name = mounting.file.name + ("" if mounting.row.use else " (not used)")
     return FittedHistogram(name, mounting.histogram, mounting.peak, label)
 
 

@@ -56,7 +56,7 @@ class Presenter:
     #: Makes its `description.Description`.
     describe: Callable[[Any], Description]
     #: What draws it, by the name of the picture.
-    figures: Mapping[str, Callable[[Any], Drawing | Figure]] = field(default_factory=dict)
+    figures: Mapping[str, Callable[[Any], Drawing]] = field(default_factory=dict)
 
 
 class _Later:
@@ -288,18 +288,11 @@ class Result:
     def _presenter(self) -> Presenter:
         return PRESENTERS[type(self).__name__]
 
-    @property
-    def heading(self) -> str:
-        """Title of its figures: its own, of a campaign; empty where they have none."""
-        return str(self.__dict__.get("title", ""))
-
-    def _drawing(self, picture: str) -> Drawing | Figure:
-        from mcrim_mitsuba.output.figure_style import Drawing
-
+    def _drawing(self, picture: str) -> Drawing:
+        """Under the title of a campaign; other results have none."""
         drawing = self._presenter.figures[picture](self)
-        if self.heading and isinstance(drawing, Drawing):  # a cross-section has no numbers
-            return drawing.entitled(self.heading)
-        return drawing
+        title = self.__dict__.get("title")
+        return drawing.entitled(title) if title else drawing
 
     def to_json(self, path: str | Path | None = None) -> str:
         """The document of ``--json`` as text; written to a file too, if one is named."""
@@ -345,24 +338,18 @@ class Result:
         """
         if not self.pictures:
             raise InputError("there is no picture", "print it")
-        from matplotlib.figure import Figure
-
-        drawing = self._drawing(_chosen("picture", picture, self.pictures))
-        return drawing if isinstance(drawing, Figure) else drawing.figure
+        return self._drawing(_chosen("picture", picture, self.pictures)).figure
 
     def draw(self, path: str | Path) -> tuple[Path, ...]:
         """Write all pictures (PNG or PDF) with their numbers (CSV): NAME, NAME_profiles, ...
 
         Raises InputError if a file cannot be written.
         """
-        from mcrim_mitsuba.output.figure_style import Drawing, save
-
         path = Path(path)
         written: list[Path] = []
         for place, name in enumerate(self.pictures):
-            ending, drawing = f"_{name}" if place else "", self._drawing(name)
-            file = path.with_name(f"{path.stem}{ending}{path.suffix}")
-            written += drawing.save(file) if isinstance(drawing, Drawing) else [save(drawing, file)]
+            ending = f"_{name}" if place else ""
+            written += self._drawing(name).save(path.with_name(f"{path.stem}{ending}{path.suffix}"))
         return tuple(written)
 
 

@@ -203,7 +203,7 @@ def _drawings(sections: Sections) -> dict[str, style.Drawing]:
     unit = sections.campaign.unit
     drawings = {}
     if sections.bench.cross_section is not None:
-        drawings["cross-section"] = style.Drawing(sections.bench.cross_section, (), ())
+        drawings["cross-section"] = style.Drawing(sections.bench.cross_section)
     if sections.campaign.raw is not None:
         for kind in sections.campaign.raw.kinds:
             drawing = draw_raw_data(sections.campaign.raw, kind)
@@ -213,7 +213,7 @@ def _drawings(sections: Sections) -> dict[str, style.Drawing]:
     if (drawing := draw_next(diagnosis)).rows:
         drawings["next"] = drawing
     if sections.next_bench is not None:
-        drawings["next-bench"] = style.Drawing(sections.next_bench, (), ())
+        drawings["next-bench"] = style.Drawing(sections.next_bench)
     if sections.effects:
         if not sections.chosen_by_hand:
             drawings["staircase"] = draw_staircase(diagnosis.repair, fit)

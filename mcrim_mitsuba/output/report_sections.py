@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, SAMPLE, Reading
-from mcrim_mitsuba.campaign.reduction import LIMIT_MB
+from mcrim_mitsuba.campaign.reduction import LIMIT_MB, RawFile
 from mcrim_mitsuba.core.files import attributes, json_text, read_bytes, sha256
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
@@ -352,14 +352,9 @@ _LIMIT_MB = 10
 
 
 @dataclass(frozen=True, kw_only=True)
-class SourceFile:
+class SourceFile(RawFile):
     """A file that a report has inside."""
 
-    #: What it is for the campaign.
-    role: str
-    path: Path
-    #: Of its bytes, hexadecimal.
-    sha256: str
     #: None where the report has no room for them.
     data: bytes | None
     #: What is shown: what it holds, its beginning, or what was changed in it.
@@ -375,7 +370,6 @@ def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
 
     Raises InputError if a file cannot be read any more.
     """
-
     scene, folder = campaign.scene, campaign.effects_folder
     files = [("campaign", campaign.path), ("measurements", campaign.measurements.path)]
     files.append(("scene", scene.path))

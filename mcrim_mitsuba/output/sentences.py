@@ -625,16 +625,13 @@ def next_for_average(diagnosis: Diagnosis) -> str:
     of_fit, within = ErrorBudget(_parts(estimate, "prior")), averaged.within / averaged.value
     parts = of_fit.contributions
     scaled = (replace(part, relative=part.relative * within / of_fit.total) for part in parts)
-
-    def systematic(name: str, part: float, by: str) -> Contribution:
-        return Contribution(
-            name=name, relative=part / averaged.value, kind="systematic", reducible=bool(by), by=by
-        )
-
+    between, catalogue = (part / averaged.value for part in (averaged.between, averaged.catalogue))
     other_reading = "a further reading that tells them apart"
-    between = systematic("which explanation is right", averaged.between, other_reading)
-    catalogue = systematic("what is in no catalogue", averaged.catalogue, "")
-    return what_next(ErrorBudget((*scaled, between, catalogue)), "averaged light yield")
+    beside = (
+        Contribution("which explanation is right", between, "systematic", True, by=other_reading),
+        Contribution("what is in no catalogue", catalogue, "systematic", False, by=""),
+    )
+    return what_next(ErrorBudget((*scaled, *beside)), "averaged light yield")
 
 
 def _parts(estimate: ParameterEstimate, prior: str) -> tuple[Contribution, ...]:

@@ -265,11 +265,6 @@ class ScenePlan:
         """Path of the file that was read."""
         return self.base.path
 
-    @property
-    def content_hash(self) -> str:
-        """`SceneFile.content_hash` of the scene."""
-        return self.file.content_hash
-
     def __reduce__(self) -> tuple[Callable[..., SceneFile], tuple[Any, ...]]:
         # whoever it is sent to needs the scene itself
         make, (path, overrides, *others) = self.base.__reduce__()

@@ -227,7 +227,7 @@ def test_rows_may_mix_and_be_left_out(folder):
     # one mounting in use: its own error
     first, second = reduced["air"].mountings
     assert (air.signal, air.sigma) == (first.peak.centroid, first.peak.centroid_sigma)
-    assert second.peak is not None and not second.use
+    assert second.peak is not None and not second.row.use
     # none in use: the mean of all, out of the fit but in sight
     assert gel.signal == np.mean([m.peak.centroid for m in reduced["gel"].mountings])
     assert (reduced["gel"].mountings[0].peak.low, reduced["gel"].mountings[0].peak.high) == (13, 38)

@@ -467,7 +467,7 @@ def test_the_scatter_of_a_raw_campaign_is_its_own(article):
             SimpleNamespace(centroid=c, centroid_sigma=sigma, shape=COUNTING, intrinsic_spread=0.08)
             for c in centroids
         ]
-        mountings = [SimpleNamespace(use=True, peak=peak) for peak in peaks]
+        mountings = [SimpleNamespace(row=SimpleNamespace(use=True), peak=peak) for peak in peaks]
         combined = SimpleNamespace(mean=float(np.mean(centroids)))
         return SimpleNamespace(mountings=mountings, combined=combined)
 

@@ -53,7 +53,7 @@ def test_a_scene_knows_its_places_files_and_whether_it_changed(tmp_path):
 def test_a_plan_is_put_together_when_it_is_needed(bench):
     plan = ScenePlan(bench, {"n_gap": 1.46})
     assert plan.path == BENCH and plan.file.parameters["n_gap"] == 1.46
-    assert plan.content_hash == bench.with_overrides({"n_gap": 1.46}).content_hash
+    assert plan.file.content_hash == bench.with_overrides({"n_gap": 1.46}).content_hash
     assert pickle.loads(pickle.dumps(plan)).parameters["n_gap"] == 1.46  # the scene itself is sent
     assert "is not a parameter of this scene" in refusal(
         getattr, ScenePlan(bench, {"x": 1}), "file"
