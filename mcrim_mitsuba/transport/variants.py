@@ -88,16 +88,15 @@ def _provide_libatomic() -> None:
     with contextlib.suppress(OSError):
         ctypes.CDLL(LIBATOMIC)
         return
-    file = os.memfd_create(LIBATOMIC)
-    os.write(file, _libatomic())
     try:
+        file = os.memfd_create(LIBATOMIC)
+        os.write(file, _libatomic())
         ctypes.CDLL(f"/proc/self/fd/{file}")
+        os.close(file)
     except OSError as error:
         problem = f"Dr.Jit needs {LIBATOMIC}, which this system lacks ({error})"
         mend = "install it: `apt-get install libatomic1`, or `dnf install libatomic`"
         raise InputError(problem, mend) from None
-    finally:
-        os.close(file)
 
 
 def _libatomic() -> bytes:
