@@ -198,8 +198,12 @@ class WithError(Written):
         return NumberWithError(number, sigma)
 
 
+#: What is no value of an option, but another one; a file of such a name is ``./--name``.
+_FLAG = re.compile("-[a-zA-Z]|--.+")
+
+
 class Option(click.Option):
-    """An option that is refused where it is given twice and may not be: click takes the last."""
+    """An option that is refused where click takes the last of two, or an option for its value."""
 
     def add_to_parser(self, parser, ctx) -> None:
         if self.multiple or self.is_flag:
@@ -208,11 +212,13 @@ class Option(click.Option):
             parser.add_option(self, self.opts, self.name, action="append", nargs=self.nargs)
 
     def consume_value(self, ctx, opts):
-        values = opts.get(self.name)
-        if isinstance(values, list) and not self.multiple:
-            if len(values) > 1 and not ctx.resilient_parsing:
-                raise InputError(f"{self.opts[-1]} is given {len(values)} times", "give it once")
-            opts = {**opts, self.name: values[0]}
+        texts = opts[self.name] if isinstance(opts.get(self.name), list) else []
+        if taken := next(filter(_FLAG.fullmatch, texts), None):
+            raise InputError(f"{self.opts[-1]} has no value before {taken}", "give it one")
+        if texts and not self.multiple:
+            if len(texts) > 1 and not ctx.resilient_parsing:
+                raise InputError(f"{self.opts[-1]} is given {len(texts)} times", "give it once")
+            opts = {**opts, self.name: texts[0]}
         return super().consume_value(ctx, opts)
 
 

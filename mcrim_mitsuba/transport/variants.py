@@ -83,8 +83,6 @@ def _provide_libatomic() -> None:
 
     Raises InputError if it has none and cannot take this one.
     """
-    if sys.platform != "linux":
-        return
     with contextlib.suppress(OSError):
         ctypes.CDLL(LIBATOMIC)
         return
@@ -163,7 +161,8 @@ def selected_llvm() -> LlvmLibrary:
                 "call mcrim_mitsuba.use_variant() before mitsuba and drjit are imported",
             )
         return library
-    _provide_libatomic()
+    if sys.platform == "linux":
+        _provide_libatomic()
     chosen = os.environ.get(ENVIRONMENT_VARIABLE)
     if chosen:
         return _checked(chosen, "environment")
