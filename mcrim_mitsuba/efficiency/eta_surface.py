@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -345,11 +345,20 @@ class EtaRun:
         return min(self.most, int(self.photons * (self.worst / precision) ** 2 * _MARGIN))
 
 
-def record_surfaces(requests: Sequence[EtaRequest]) -> list[tuple[EtaSurface, EtaRun]]:
-    """One simulation per configuration, all of them at once, that answers all its points.
+def record_surface(
+    scene: SceneFile, points: Sequence[Coefficients], *, run: Run, **further: Any
+) -> tuple[EtaSurface, EtaRun]:
+    """One simulation that answers all points; `further` fields are those of an `EtaRequest`.
 
-    Threads and progress are those of the first. Raises InputError if a scene is not sound, leaks,
-    or keeps more light than records may miss.
+    Raises InputError if the scene is not sound, leaks, or keeps more light than records may miss.
+    """
+    return record_surfaces([EtaRequest("simulation", scene, points, run, **further)])[0]
+
+
+def record_surfaces(requests: Sequence[EtaRequest]) -> list[tuple[EtaSurface, EtaRun]]:
+    """One simulation per configuration, all of them at once; see `record_surface`.
+
+    Threads and progress are those of the first.
     """
     runs = [EtaRun(request) for request in requests]
     _extend([(run, min(FIRST_LOOK, run.most)) for run in runs], by_all=True)

@@ -38,7 +38,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, EtaSurface, record_surfaces
+from mcrim_mitsuba.efficiency.eta_surface import EtaSurface, record_surface
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.output.description import table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
@@ -133,7 +133,7 @@ def simulate_truth(
     """What stands for the truth: surfaces of photons that no fit uses, so many per configuration.
 
     Of the distinct configurations, in their order; `report` takes what, how much is done, and the
-    total. Raises InputError as `record_surfaces`.
+    total. Raises InputError as `record_surface`.
     """
     distinct = list(dict.fromkeys(configurations))
     low, high = TRUE_ALPHA_SCAT_PER_CM
@@ -144,8 +144,7 @@ def simulate_truth(
     for number, own_seed in enumerate(seeds_of(seed, 0, count=len(distinct))):
         report("truth", number, len(distinct))
         scene, run = _scene_of(distinct[number]), Run(photons, seed=own_seed)
-        ((surface, _),) = record_surfaces([EtaRequest("truth", scene, points, run)])
-        surfaces.append(surface)
+        surfaces.append(record_surface(scene, points, run=run)[0])
     report("truth", len(distinct), len(distinct))
     return surfaces
 
@@ -257,16 +256,14 @@ def _simulate(realisation: Realisation) -> dict[Configuration, RecordSurface]:
     ]
     surfaces = {}
     for configuration, seed in zip(distinct, realisation.seeds, strict=True):
-        request = EtaRequest(
-            "simulation",
+        surface, _ = record_surface(
             _scene_of(configuration),
             points,
-            # the truth's simulation has checked the same scenes
-            Run(realisation.photons, seed=seed, threads=1, check=False),
             alpha_scat_range_per_cm=(truth / REACH, truth * REACH),
             alpha_abs_range_per_cm=SIMULATED_ALPHA_ABS_PER_CM,
+            # the truth's simulation has checked the same scenes
+            run=Run(realisation.photons, seed=seed, threads=1, check=False),
         )
-        ((surface, _),) = record_surfaces([request])
         surfaces[configuration] = RecordSurface(surface.grid, surface.table)
     return surfaces
 

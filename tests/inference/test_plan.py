@@ -19,7 +19,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import percent
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, record_surfaces
+from mcrim_mitsuba.efficiency.eta_surface import record_surface
 from mcrim_mitsuba.inference import plan as measuring
 from mcrim_mitsuba.inference.diagnose import diagnose
 from mcrim_mitsuba.inference.fit import fit_model
@@ -275,15 +275,13 @@ def test_100_synthetic_campaigns_scatter_as_planned(scenes, article, without_pho
     def surfaces(parameters):
         index = parameters["n_gap"]
         if index not in made:
-            request = EtaRequest(
-                "simulation",
+            surface, _ = record_surface(
                 scene.with_overrides({"n_gap": index}),
                 [(0.3, 0.02), (0.55, 0.04), (1.0, 0.06)],
-                Run(49_152, seed=3),
+                run=Run(49_152, seed=3),
                 alpha_scat_range_per_cm=(0.1, 3.0),
                 alpha_abs_range_per_cm=(0.0, 0.15),
             )
-            ((surface, _),) = record_surfaces([request])
             made[index] = RecordSurface(surface.grid, surface.table)
         return made[index]
 

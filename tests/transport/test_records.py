@@ -28,6 +28,7 @@ from mcrim_mitsuba.efficiency.eta_surface import (
     EtaRequest,
     EtaRun,
     EtaSurface,
+    record_surface,
     record_surfaces,
 )
 from mcrim_mitsuba.efficiency.polished_box import solve_box
@@ -60,11 +61,6 @@ def bench(scenes):
     return read_scene(scenes / "camoo4.xml")
 
 
-def surface_of(scene, points, run) -> EtaSurface:
-    ((surface, _),) = record_surfaces([EtaRequest("simulation", scene, points, run)])
-    return surface
-
-
 def test_one_simulation_answers_every_pair(bench):
     """48 comparisons with the solver at 0.15 %, at a family-wise level of 1 %.
 
@@ -72,8 +68,9 @@ def test_one_simulation_answers_every_pair(bench):
     """
     scores = []
     for n_gap, seed in itertools.product(COUPLINGS, (1, 3)):
-        coupled, run = bench.with_overrides({"n_gap": n_gap}), Run(precision=0.0015, seed=seed)
-        surface = surface_of(coupled, PAIRS, run)
+        surface, _ = record_surface(
+            bench.with_overrides({"n_gap": n_gap}), PAIRS, run=Run(precision=0.0015, seed=seed)
+        )
         points = [surface.evaluate(*pair) for pair in PAIRS]
         eta, sigma = np.array([(point.eta, point.sigma) for point in points]).T
         assert (sigma < 0.00172 * eta).all()
@@ -148,7 +145,8 @@ def test_three_ways_to_the_derivatives(bench, n_gap):
     coupled = bench.with_overrides({"n_gap": n_gap, **here})
     points = [(0.29, 0.019), (0.54, 0.039), (0.79, 0.059)]
     surfaces = [
-        surface_of(coupled, points, Run(300_000, seed=seed, check=False)) for seed in range(3, 15)
+        record_surface(coupled, points, run=Run(300_000, seed=seed, check=False))[0]
+        for seed in range(3, 15)
     ]
     for name, step in ((ALPHA_SCAT, 1e-3), (ALPHA_ABS, 1e-4)):
         # its errors cancel, and it is smooth
@@ -324,7 +322,7 @@ def test_even_births_lower_the_error_and_the_error_says_so(bench):
 def test_wide_ranges_stay_small_and_right(bench):
     """Light that scatters thousands of times takes no more memory, and its eta is right."""
     points = [(1.0, 0.039), (50.0, 0.039)]
-    surface = surface_of(bench, points, Run(131_072, seed=5))
+    surface, _ = record_surface(bench, points, run=Run(131_072, seed=5))
     assert np.prod(surface.grid.counts) < 100
     for a_s, a_a in points:
         alone = Simulation(bench, {ALPHA_SCAT: a_s}, check=False).collect(65_536, seed=6)
@@ -341,7 +339,7 @@ def test_uneven_scattering_is_answered_as_it_is_simulated(scenes, tmp_path):
     place = text.index("</medium>")
     path.write_text(text[:place] + graded + text[place:])
     points = [(0.1, 0.01), (0.8, 0.1)]
-    surface = surface_of(read_scene(path), points, Run(524_288, seed=5))
+    surface, _ = record_surface(read_scene(path), points, run=Run(524_288, seed=5))
     for number, (a_s, a_a) in enumerate(points):
         values = {ALPHA_SCAT: a_s, ALPHA_ABS: a_a}
         alone = Simulation(path, values, check=False).collect(524_288, seed=6 + number)
