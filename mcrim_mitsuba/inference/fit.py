@@ -170,11 +170,12 @@ def result_of(minima: list[Minimum], *, profile: bool) -> Calibration:
         notes=(),
         minimum=best,
     )
+    yields = {n: known.value for n, known in fit.parameters.items() if n.endswith("_ph_per_keV")}
     notes = [
         *campaign.notes,
-        *_notes_of_raw_data(campaign, fit.parameters),
+        *_notes_of_raw_data(campaign, fit),
         *_notes_of_search(minima),
-        *_notes_of_light_yields(fit.parameters),
+        *(f"{name} {text}" for name, text in doubts(yields)),  # that are no crystal's
         *_notes_of_disagreement(fit, prediction),
         *notes_of_intervals,
         *_notes_of_simulation(fit.parameters),
@@ -276,11 +277,9 @@ def _wish(best: Minimum) -> str:
     return f"the readings ask for {'more' if more else 'less'} scattering than the bounds allow"
 
 
-def _notes_of_raw_data(
-    campaign: Campaign, parameters: dict[str, ParameterEstimate]
-) -> Iterable[str]:
+def _notes_of_raw_data(campaign: Campaign, fit: Calibration) -> Iterable[str]:
     """What the fitted scattering says of the transmittance."""
-    fitted = parameters.get(ALPHA_SCAT)
+    fitted = fit.parameters.get(ALPHA_SCAT)
     if fitted is None or campaign.raw is None or _FORWARD in campaign.effects:
         return ()
     return beam_notes(campaign.raw, fitted.value)
@@ -302,13 +301,6 @@ def _notes_of_search(minima: list[Minimum]) -> Iterator[str]:
         if higher < FIT_NOTES.rival:
             where = ", ".join(f"{name} = {value:.4g}" for name, value in other.values.items())
             yield f"a second solution, chi2 {higher:.2f} higher: {where}"
-
-
-def _notes_of_light_yields(parameters: dict[str, ParameterEstimate]) -> Iterator[str]:
-    """Whether a light yield is no crystal's."""
-    yields = {n: fitted.value for n, fitted in parameters.items() if n.endswith("_ph_per_keV")}
-    for name, text in doubts(yields):
-        yield f"{name} {text}"
 
 
 def _notes_of_disagreement(fit: Calibration, prediction: Prediction) -> Iterator[str]:

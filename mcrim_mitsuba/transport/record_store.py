@@ -71,11 +71,6 @@ def _at_surface(event: Callable[..., Any]) -> Callable[..., Any]:
 _REFLECTS = _at_surface(lambda outcome, mine: outcome.polished & ~outcome.crossed & mine)
 
 
-def _reflections(step: Step, mine):
-    """Those at the end of a flight, and those that it passed over."""
-    return _REFLECTS(step, mine) + (0 if step.folds is None else step.folds)
-
-
 #: Of all records: the weight at the proposal's absorption, scatterings in the crystal, path in it.
 _OF_ALL = {
     "w": Recorded(np.float32, arrival=lambda step, birth: step.w),
@@ -93,8 +88,11 @@ ARRIVAL_PLACE = ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm")
 BIRTH_PLACE = ("birth_from_left_mm", "birth_from_front_mm", "birth_from_top_mm")
 #: What every scene can give besides.
 COLUMNS = {
-    # internal ones at the crystal's polished faces
-    "reflections": Recorded(np.uint16, _reflections),
+    # internal ones at the crystal's polished faces: where a flight ends, and that it passed over
+    "reflections": Recorded(
+        np.uint16,
+        lambda step, mine: _REFLECTS(step, mine) + (0 if step.folds is None else step.folds),
+    ),
     # encounters from inside with the crystal's rough faces
     "rough_hits": Recorded(
         np.uint16,
