@@ -213,7 +213,8 @@ class Option(click.Option):
 
     def consume_value(self, ctx, opts):
         texts = opts[self.name] if isinstance(opts.get(self.name), list) else []
-        if taken := next(filter(_FLAG.fullmatch, texts), None):
+        taken = next(filter(_FLAG.fullmatch, texts), None)
+        if taken is not None and not ctx.resilient_parsing:
             raise InputError(f"{self.opts[-1]} has no value before {taken}", "give it one")
         if texts and not self.multiple:
             if len(texts) > 1 and not ctx.resilient_parsing:

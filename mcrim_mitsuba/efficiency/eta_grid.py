@@ -458,7 +458,7 @@ class TableUnit(SceneUnit):
 
     def make(self, threads: int | None) -> dict[int, Content]:
         columns = [name for request in self.requests for name in request.columns]
-        simulation = self.loaded(threads)
+        simulation = self.loaded(threads)  # chooses an LLVM before Dr.Jit is imported
         from mcrim_mitsuba.transport.collection import Recorder
 
         records = Recorder(simulation).record(

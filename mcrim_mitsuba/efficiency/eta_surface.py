@@ -178,7 +178,7 @@ class GridBlock(LaunchBlock):
 
     def make(self, threads: int | None) -> dict[int, Content]:
         """Simulate; one thread weighs a launch's records while the next one is under way."""
-        simulation = self.loaded(threads)
+        simulation = self.loaded(threads)  # chooses an LLVM before Dr.Jit is imported
         from mcrim_mitsuba.transport.collection import Recorder
 
         recorder, detectors = Recorder(simulation), simulation.model.detectors

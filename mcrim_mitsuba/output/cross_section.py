@@ -534,7 +534,7 @@ def write_cross_section(figure: Figure, path: str | Path) -> None:
     write_bytes(path, content.getvalue())
 
 
-def figure_of_check(checked: CheckResult) -> Drawing:
+def draw_check(checked: CheckResult) -> Drawing:
     """The cross-section of a checked scene, what is wrong with it in red.
 
     Where such a scene cannot be assembled it is drawn without the override that is wrong, or with 1

@@ -127,7 +127,7 @@ PRESENTERS = {
     "CheckResult": Presenter(
         kind="check",
         describe=describe_scene.of_check,
-        figures={"cross_section": cross_section.figure_of_check},
+        figures={"cross_section": cross_section.draw_check},
         names="ok problems parameters interfaces words notes",
     ),
     "CrosscheckResult": Presenter(

@@ -103,7 +103,7 @@ def _libatomic() -> bytes:
     System V Application Binary Interface, chapters 4 and 5; its versions of symbols: Linux Standard
     Base Core 5.0, chapter 10.
     """
-    page, header, segments, dynamic = 4096, 64, 4 * 56, 10 * 16
+    page, header, linker, rest = 4096, 64, 64 + 4 * 56, 64 + 4 * 56 + 10 * 16
     names = f"\0{LIBATOMIC}\0LIBATOMIC_1.0\0__atomic_compare_exchange_16\0".encode()
     library, version, function = (names.index(name) for name in (b"lib", b"LIB", b"__"))
     symbol = struct.pack("<I2BH2Q", function, 0x12, 0, 1, page, len(_COMPARE_EXCHANGE))
@@ -118,17 +118,16 @@ def _libatomic() -> bytes:
     # the library's name, sizes of names and of a symbol, number of versions
     tags, body = [14, library, 10, len(names), 11, 24, 0x6FFFFFFD, 1], b""
     for tag, table in tables.items():
-        tags += [tag, header + segments + dynamic + len(body)]
+        tags += [tag, rest + len(body)]
         body += table + bytes(-len(table) % 8)
-    end = header + segments + dynamic + len(body)
     file = struct.pack(
         "<16s2HI3QI6H", b"\x7fELF\2\1\1", 3, 62, 1, 0, header, 0, 0, header, 56, 4, 0, 0, 0
     )
     # tables, code, tables for the linker, and a stack that nothing is executed on
     for kind, rights, start, size, align in (
-        (1, 6, 0, end, page),
+        (1, 6, 0, rest + len(body), page),
         (1, 5, page, len(_COMPARE_EXCHANGE), page),
-        (2, 6, header + segments, dynamic, 8),
+        (2, 6, linker, rest - linker, 8),
         (0x6474E551, 6, 0, 0, 16),
     ):
         file += struct.pack("<2I6Q", kind, rights, start, start, start, size, size, align)
