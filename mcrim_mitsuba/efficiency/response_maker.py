@@ -39,7 +39,15 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     tells_detectors,
 )
 from mcrim_mitsuba.efficiency.proposals import USUAL_ALPHA_SCAT_PER_CM, WITHIN, Beyond, coverage_of
-from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
+from mcrim_mitsuba.efficiency.responses import (
+    Anchor,
+    Axis,
+    EffectResponse,
+    Point,
+    Responses,
+    Sizes,
+    stack,
+)
 from mcrim_mitsuba.efficiency.schedule import Identity, PlannedRun, Schedule, WantedTable
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
 from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance, transmittance
@@ -220,19 +228,21 @@ class ResponseMaker:
         look: Collection[str] = (),
         *,
         pairs: Collection[str] = (),
+        near: Mapping[str, Sizes] = {},
         tolerances: bool = True,
     ) -> Responses:
         """Simulated responses of the campaign's bench, as it is and with each of the effects.
 
         Effects that change no light, but how readings are read, need no simulation and are left
         out. `pairs` of names are simulated together, too. Those named by `look` get a part of the
-        photons, for a first look, and pairs a single size of each effect. Of the bench's numbers
-        `tolerances` are left out where nobody asks for them. Raises InputError if a scene is not
-        sound, leaks, or cannot take an effect.
+        photons, for a first look, at fewer nodes if they are not `near` any size, and pairs a
+        single size of each effect; at nodes between two sizes, and next to these, all photons fly.
+        Of the bench's numbers `tolerances` are left out where nobody asks for them. Raises
+        InputError if a scene is not sound, leaks, or cannot take an effect.
         """
         benches = self._benches()
         plain = [bench.run for bench in benches]
-        plans = list(self._plans(effects, look, plain))
+        plans = list(self._plans(effects, look, plain, near))
         by_name = {effect.name: effect for effect in effects}
         for pair in sorted(pairs):
             both = [by_name[name] for name in pair.split(" + ")]
@@ -317,7 +327,11 @@ class ResponseMaker:
         return [_units(self._part * asked[run.identity] * LANES) * LANES for run in self.looks]
 
     def _plans(
-        self, effects: Sequence[Effect], look: Collection[str], plain: Sequence[PlannedRun]
+        self,
+        effects: Sequence[Effect],
+        look: Collection[str],
+        plain: Sequence[PlannedRun],
+        near: Mapping[str, Sizes],
     ) -> Iterator[_EffectPlan]:
         """Plans of the effects that act on light, and of fitted scene parameters of no effect."""
         scene = self.campaign.scene
@@ -335,19 +349,24 @@ class ResponseMaker:
             for run, own in zip(plain, self._photons, strict=True)
         ]
         for effect in acting:
-            is_look = effect.name in look
-            yield self._plan(effect, few if is_look else plain, acceptance, is_look=is_look)
+            sizes = near.get(effect.name)
+            # those told by the same photons at all nodes get all of them
+            is_look = effect.name in look and (sizes is None or not self._weighs(effect))
+            runs = few if is_look else plain
+            yield self._plan(effect, runs, acceptance, sizes, is_look=is_look)
 
     def _plan(
         self,
         effect: Effect,
         plain: Sequence[PlannedRun],
         acceptance: EffectParameter | None,
+        sizes: Sizes | None,
         *,
         is_look: bool,
     ) -> _EffectPlan:
         """An effect at the nodes of its parameters."""
         few = is_look and (not self._weighs(effect) or effect.proposal is not None)
+        few = few and sizes is None
         axes = self._axes(effect.parameters, plain, few)
         if few and effect.number is not None:
             # as its tolerance, which is simulated anyway; what an index does bends
@@ -355,7 +374,7 @@ class ResponseMaker:
             nodes = sorted(parameter.nodes, key=abs)
             nodes = nodes[:2] + (nodes[-2:] if effect.number.is_index else [])
             axes = (Axis(parameter, [0.0, *nodes]),)
-        return self._plan_along(axes, effect, plain, acceptance, is_look=is_look)
+        return self._plan_along(axes, effect, plain, acceptance, sizes, is_look=is_look)
 
     def _axes(
         self, parameters: Sequence[EffectParameter], plain: Sequence[PlannedRun], few: bool = False
@@ -398,24 +417,34 @@ class ResponseMaker:
         effect: Effect,
         plain: Sequence[PlannedRun],
         acceptance: EffectParameter | None = None,
+        sizes: Sizes | None = None,
         *,
         is_look: bool,
     ) -> _EffectPlan:
-        """An effect at nodes of some axes; those of `acceptance` are last, where beams see it."""
+        """An effect at nodes of some axes; those of `acceptance` are last, where beams see it.
+
+        A look is no look near `sizes` of its one axis.
+        """
         readings = self._readings
         seeing = [n for n, run in enumerate(plain) if self._is_seen(effect, run, readings[n])]
         further = None
         if acceptance and not effect.of_beam and any(plain[number].of_beam for number in seeing):
             (further,) = self._axes([acceptance], plain)
+        precise = set() if sizes is None else _near(axes[0], sizes)
         nodes: list[_Node] = []
         for number in seeing:
-            run, row, photons = plain[number], readings[number], self._photons[number]
+            run, row, most = plain[number], readings[number], self._photons[number]
+            photons = most
             # a number of the bench is looked at as its tolerance is simulated, for every fit
             if is_look and (effect.number is None or photons == self._effect_photons):
                 photons = min(photons, self._look_photons)
-            source, reference = self._sources(effect, run, photons)
+            sources = {
+                n: self._sources(effect, run, n)
+                for n in ({photons, most} if precise else {photons})
+            }
             at_own_acceptance = self._at_own_acceptance(run)
             for place, values in _nodes(axes):
+                source, reference = sources[most if place in precise else photons]
                 changed = self._changed(effect, source, run, self._moved(row, values))
                 if further is None:
                     nodes.append(_Node(place, number, reference, changed))
@@ -744,6 +773,14 @@ def _axis(
         above = max([1.0, *(node / high for node in nodes if node > high > 0)])
         nodes = [node / (below if node < 0 else above) for node in nodes]
     return Axis(parameter, [*absent, *nodes], nominal)
+
+
+def _near(axis: Axis, sizes: Sizes) -> set[tuple[int]]:
+    """Places on an axis between two sizes, and next to them on either side."""
+    values = np.array(axis.values) + axis.nominal
+    low = values[values < sizes[0]].max(initial=-math.inf)
+    high = values[values > sizes[1]].min(initial=math.inf)
+    return {(int(place),) for place in np.flatnonzero((low <= values) & (values <= high))}
 
 
 def _toward_plausible(axis: Axis, parts: Sequence[float]) -> Axis:

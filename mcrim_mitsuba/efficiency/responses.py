@@ -19,6 +19,8 @@ from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.efficiency.eta_grid import EtaGrid, Grid, standard_error
 from mcrim_mitsuba.efficiency.surface import Cubics, Lagrange
 
+#: The smallest and the largest value of an effect's parameter that somebody asks for.
+Sizes = tuple[float, float]
 #: Relative error of eta at a node, above which its photons do not tell it: few carry all weight.
 _UNKNOWN = 0.2
 

@@ -18,6 +18,7 @@ from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.run import one_thread
 from mcrim_mitsuba.effects.catalogue import effect_of
 from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.efficiency.responses import Sizes
 from mcrim_mitsuba.inference.candidates import (
     Candidate,
     CandidateMaker,
@@ -237,8 +238,8 @@ def diagnose(
 
     cache = ScreeningCache(simulations, names)
     screened = cache.read()
-    precise = {*adding} if screened is None else {*adding, *screened.precise}
-    models = simulations.simulate(names, look=set(names) - precise)
+    precise = {**({} if screened is None else screened.precise), **dict.fromkeys(adding)}
+    models = _simulated(simulations, names, precise)
     idle = {name for name in names if not models.acts(name)} - {*adding}
     if idle & {*only}:
         problem = f"{', '.join(sorted(idle & {*only}))} changes none of the readings"
@@ -299,31 +300,44 @@ def _judged_precisely(
     Pairs of effects are simulated together where no cause alone explains the readings.
     """
     models, first = simulations.models, frozenset(screened.precise)
-    precise, pairs, together = set(screened.precise), set(screened.pairs), True
+    precise, pairs, together = dict(screened.precise), set(screened.pairs), True
     while True:
-        wanted = {*precise, *adding}
-        if not (models.precise >= wanted and pairs <= models.responses.effects.keys()):
-            all_names = (*names, *sorted(pairs))
+        wanted = {**precise, **dict.fromkeys(adding)}
+        there = {**models.near, **{name: wanted.get(name) for name in models.precise}}
+        if not (wanted.items() <= there.items() and pairs <= models.responses.effects.keys()):
             try:
-                models = simulations.simulate(all_names, look={*all_names} - wanted)
+                models = _simulated(simulations, (*names, *sorted(pairs)), wanted)
             except InputError as error:
                 if not pairs:
                     raise
                 problem = f"pairs of effects could not be simulated together: {error.problem}"
                 simulations.notes.append(f"{problem}; what both do is taken for the sum")
-                together, precise, pairs = False, precise - pairs, set()
+                precise = {name: of for name, of in precise.items() if name not in pairs}
+                together, pairs = False, set()
                 continue
         judged = weighed(models, pairs)
-        named = judged.rests_on
-        if together and not pairs and models.precise >= named:
+        lacking = {
+            name
+            for name in judged.rests_on
+            if not models.is_precise(name, judged.explanations.fit((name,)).values)
+        }
+        if together and not pairs and not lacking:
             pairs = judged.pairs
         likely = pairs & judged.likely_pairs
-        if models.precise >= named | likely and pairs <= models.responses.effects.keys():
+        if models.precise >= likely and not lacking and pairs <= models.responses.effects.keys():
             return judged, Screened(precise, pairs)
         # what the diagnosis names gets all photons; if that names others again, all effects do
-        if not models.precise >= named:
-            precise |= named if precise & {*names} <= first else set(names)
-        precise |= likely
+        if lacking:
+            precise |= dict.fromkeys(lacking if precise.keys() & {*names} <= first else names)
+        precise |= dict.fromkeys(likely)
+
+
+def _simulated(
+    simulations: CampaignSimulations, names: Sequence[str], precise: Mapping[str, Sizes | None]
+) -> CampaignModels:
+    """Models with effects, and pairs of them, after a look at those that need not be `precise`."""
+    near = {name: sizes for name, sizes in precise.items() if sizes is not None}
+    return simulations.simulate(names, look={*names} - precise.keys(), near=near)
 
 
 def _not_adding_up(simulations: CampaignSimulations, judged: Judged) -> list[str]:

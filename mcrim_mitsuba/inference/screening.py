@@ -12,6 +12,7 @@ from dataclasses import asdict
 from typing import NamedTuple
 
 from mcrim_mitsuba.effects.effect import Effect, modules_of
+from mcrim_mitsuba.efficiency.responses import Sizes
 from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.estimates import error_of_difference
@@ -23,36 +24,51 @@ from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.executors import current_executor, number_of
 
 
-def promising_effects(models: Models, effects: Mapping[str, Effect], baseline: Minimum) -> set[str]:
-    """Effects that may explain the readings, after a first look at all of them.
+def promising_effects(
+    models: Models, effects: Mapping[str, Effect], baseline: Minimum
+) -> dict[str, Sizes | None]:
+    """Effects that may explain the readings, after a first look at all of them, and of which sizes.
 
     Parameters and errors as for `diagnose.judge`.
     """
     explanations = Explanations(models, effects, baseline)
     fits = explanations.singles()
     if baseline.ndf <= 0 or not fits:
-        return set()
+        return {}
     best = min(fits.values(), key=lambda fit: fit.chi2)
     highest = best.chi2 + SCREENING.behind + SCREENING.part_behind * (baseline.chi2 - best.chi2)
-    promising = {
-        name
-        for name, fit in fits.items()
-        if fit.chi2 - SCREENING.errors * error_of_difference(fit, best) < highest
+    promising: dict[str, Sizes | None] = {}
+    for name, fit in fits.items():
+        most = highest + SCREENING.errors * error_of_difference(fit, best)
         # what gains nothing is as far behind as the campaign as it is, and stays there
-        and baseline.chi2 - fit.chi2
-        > SCREENING.least_gain - SCREENING.errors * error_of_difference(fit, baseline)
-    }
+        least = SCREENING.least_gain - SCREENING.errors * error_of_difference(fit, baseline)
+        if fit.chi2 < most and baseline.chi2 - fit.chi2 > least:
+            promising[name] = _sizes(explanations, name, most)
     if best.p_value is not None and best.p_value < ACCEPTABLE_P:
+        # beside others an effect may have any size
         weighing = weigh_hypotheses(explanations, NullDistribution(explanations, fits), closed=True)
-        promising |= {n for n, p in weighing.inclusion.items() if p > SCREENING.included}
+        likely = (n for n, p in weighing.inclusion.items() if p > SCREENING.included)
+        promising = dict.fromkeys((*promising, *likely))
     return promising
+
+
+def _sizes(explanations: Explanations, effect: str, most: float) -> Sizes | None:
+    """Between which sizes an effect may explain the readings: where chi2 is below `most`."""
+    names = explanations.free_parameters((effect,), effect)
+    if len(names) != 1:
+        return None
+    profile = explanations.profile((effect,), effect, explanations.baseline)
+    nodes = [node[names[0]] for node in explanations.nodes((effect,), effect)]
+    near = [x for x, (chi2, _) in zip(nodes, profile, strict=True) if chi2 < most]
+    near.append(explanations.fit((effect,)).values[names[0]])
+    return min(near), max(near)
 
 
 class Screened(NamedTuple):
     """What a diagnosis simulates after its first look at all effects."""
 
-    #: Effects, and pairs of them, that get all photons.
-    precise: Collection[str]
+    #: Effects, and pairs of them, that get all photons, and at which sizes; None: at all.
+    precise: Mapping[str, Sizes | None]
     #: Pairs of effects that are simulated together.
     pairs: Collection[str] = ()
 
@@ -64,7 +80,7 @@ class ScreeningCache:
         campaign, run = simulations.campaign, simulations.run
         self._cache: RecordCache = current_executor().cache(
             {
-                "what": "screening with pairs",
+                "what": "screening with sizes",
                 "versions": record_versions(run.variant, __name__),
                 "effects": code_hash(modules_of(campaign.catalogue.values())),
             }
@@ -86,9 +102,10 @@ class ScreeningCache:
         kept = self._cache.read(self._number)
         if kept is None:
             return None
-        return Screened(*({*map(str, kept.metadata[name])} for name in Screened._fields))
+        precise, pairs = (kept.metadata[name] for name in Screened._fields)
+        return Screened({name: of and (of[0], of[1]) for name, of in precise.items()}, pairs)
 
     def write(self, screened: Screened) -> None:
         """Keep it for the next time."""
-        kept = {name: sorted(names) for name, names in screened._asdict().items()}
+        kept = {"precise": {**screened.precise}, "pairs": sorted(screened.pairs)}
         self._cache.write(self._number, {}, kept)

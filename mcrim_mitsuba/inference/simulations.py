@@ -28,7 +28,7 @@ from mcrim_mitsuba.efficiency.attenuation import SOURCE_WIDTH
 from mcrim_mitsuba.efficiency.eta_grid import APERTURE, WINDOW
 from mcrim_mitsuba.efficiency.proposals import LEAST_ABSORPTION_PER_CM, Beyond
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR, ResponseMaker
-from mcrim_mitsuba.efficiency.responses import Anchor, Responses
+from mcrim_mitsuba.efficiency.responses import Anchor, Responses, Sizes
 from mcrim_mitsuba.efficiency.schedule import Schedule
 from mcrim_mitsuba.inference.drivers import Minimum, find_minima, newton
 from mcrim_mitsuba.inference.explanations import Models, plausible_priors
@@ -111,8 +111,10 @@ class CampaignModels:
     #: All of the campaign's own effects at once, where its own fit ends; None where their responses
     #: add up exactly.
     anchor: Anchor | None
-    #: Effects, and pairs of them, whose simulations had all photons.
+    #: Effects, and pairs of them, whose simulations had all photons at all sizes.
     precise: frozenset[str]
+    #: Effects of which only those between some sizes had.
+    near: Mapping[str, Sizes] = field(default_factory=dict)
 
     @property
     def simulated(self) -> frozenset[str]:
@@ -127,6 +129,13 @@ class CampaignModels:
         used = [reading.use for reading in self.campaign.measurements.readings]
         moved = response.log_ratio.swapaxes(0, -3)[used]
         return bool(np.abs(moved).max(initial=0.0) >= SCREENING.acts)
+
+    def is_precise(self, effect: str, values: Mapping[str, float]) -> bool:
+        """Whether all photons tell of an effect, at the value of its parameter among these."""
+        if (sizes := self.near.get(effect)) is None:
+            return effect in self.precise
+        (axis, *_) = self.responses.effects[effect].axes
+        return sizes[0] <= values[axis.name] <= sizes[1]
 
     def model(self, effects: Sequence[str] = ()) -> ResponseModel:
         """The campaign's model with more effects than its own switched on."""
@@ -202,12 +211,18 @@ class CampaignSimulations:
         """What was simulated so far; of the bench as it is, if nothing was."""
         return self._models or self.simulate()
 
-    def simulate(self, effects: Sequence[str] = (), look: Collection[str] = ()) -> CampaignModels:
+    def simulate(
+        self,
+        effects: Sequence[str] = (),
+        look: Collection[str] = (),
+        near: Mapping[str, Sizes] = {},
+    ) -> CampaignModels:
         """What models rest on, with some effects besides the campaign's own.
 
         Two, as in ``"ground + gel_creep"``, are simulated together: what both do need not be the
         sum of what each does. What was simulated before is not simulated again. What `look` names
-        gets a first look with a part of the photons, if it had no more before.
+        gets a first look with a part of the photons, if it had no more before; what is `near` some
+        sizes gets all photons there, and elsewhere those of a look.
         """
         if self._models is None and effects:
             self.simulate()
@@ -216,8 +231,9 @@ class CampaignSimulations:
         singles = [name for name in effects if " + " not in name]
         wanted = [catalogue[name] for name in (*self.campaign.effects, *singles)]
         precise = frozenset[str]() if self._models is None else self._models.precise
-        precise |= {e.name for e in wanted if e.name not in look or e.reading is not None}
-        precise |= {*pairs} - {*look}
+        few = {*look, *near}
+        precise |= {e.name for e in wanted if e.name not in few or e.reading is not None}
+        precise |= {*pairs} - few
         wrapped = self.campaign.scene.parts.all("shape", "wrapping")
         if self._models is None and self.campaign.tolerances and wrapped:
             # tolerances are simulated on what is then known to be wide enough: they take as long;
@@ -229,17 +245,18 @@ class CampaignSimulations:
             )
             if not self._is_covered(models):
                 del self.maker
-                return self.simulate(effects, look)
+                return self.simulate(effects, look, near)
         self._models = CampaignModels(
             campaign=self.campaign,
-            responses=self.maker.make(wanted, set(look) - precise, pairs=pairs),
+            responses=self.maker.make(wanted, few - precise, pairs=pairs, near=near),
             anchor=self._anchor,
             precise=precise,
+            near={name: sizes for name, sizes in near.items() if name not in precise},
         )
         if not self._is_covered(self._models):
             self._models = None
             del self.maker
-            return self.simulate(effects, look)
+            return self.simulate(effects, look, near)
         if self._anchor is None and not self.maker.is_exact(self.campaign.switched_on):
             fit = self._anchored(self.campaign, profile=False)
             assert isinstance(fit.model, ResponseModel)

@@ -243,6 +243,24 @@ def test_readings_get_the_photons_that_their_errors_ask_for():
     assert half.photons < made.photons
 
 
+def test_all_photons_fly_near_the_sizes_that_matter(campaign):
+    """At nodes between these and next to them; elsewhere, at every node, as in a first look."""
+    bench, effect = CampaignSimulations(campaign, Run(8 * LANES, check=False)), "side_roughness"
+    (look,) = bench.simulate([effect], look=[effect]).responses.effects.values()
+    models = bench.simulate([effect], near={effect: (0.07, 0.09)})
+    (near,) = models.responses.effects.values()
+    (whole,) = bench.simulate([effect]).responses.effects.values()
+    assert bench.models.precise == {effect} and models.precise == set()
+    sizes = np.array(near.axes[0].values)
+    assert near.axes[0].values == whole.axes[0].values == (0.0, 0.012, 0.035, 0.08, 0.16, 0.3, 0.5)
+    same = (near.log_ratio == whole.log_ratio).all(axis=(1, 2, 3))
+    np.testing.assert_array_equal(same, (sizes == 0.0) | (0.03 < sizes) & (sizes < 0.2))
+    assert (near.log_ratio[-1] == look.log_ratio[-1]).all()
+    for size, at in ((0.06, False), (0.07, True), (0.09, True), (0.1, False)):
+        assert models.is_precise(effect, {"side_roughness_alpha": size}) == at
+        assert bench.models.is_precise(effect, {"side_roughness_alpha": size})
+
+
 def test_the_article_s_readings_get_all_photons():
     article = read_campaign(SCENES / "camoo4_table1.toml")
     made = ResponseMaker(article, Run(check=False), sigma=0.01).make([], tolerances=False)

@@ -69,8 +69,17 @@ def test_a_first_look_leaves_out_what_gains_nothing():
     gains = {name: before.chi2 - fit.chi2 for name, fit in fits.items()}
     assert before.p_value < 0.01 and 14 < max(gains.values()) < 15 and min(gains.values()) < 1
     promising = promising_effects(found, SOME, before)
-    assert promising == {"gap_absorption", "gap_index", "anisotropic_scattering"}
-    assert min(gains[name] for name in promising) > max(gains[n] for n in {*gains} - promising)
+    assert promising.keys() == {"gap_absorption", "gap_index", "anisotropic_scattering"}
+    worse = {*gains} - promising.keys()
+    assert min(gains[name] for name in promising) > max(gains[name] for name in worse)
+    # nor does a size with which the best effect is as far behind
+    low, high = promising["gap_absorption"]
+    profile = explanations.profile(("gap_absorption",), "gap_absorption", before)
+    nodes = explanations.nodes(("gap_absorption",), "gap_absorption")
+    for node, (chi2, _) in zip(nodes, profile, strict=True):
+        within = low <= node["gap_absorption_per_cm"] <= high
+        assert within == (chi2 < fits["gap_absorption"].chi2 + 14)
+    assert 0.3 < low < 0.4 and high == 0.5
 
 
 @pytest.mark.parametrize(("wrong", "seed"), [((5,), 1), ((2, 11), 2), ((1, 8, 13), 3)])
