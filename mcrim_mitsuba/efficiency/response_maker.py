@@ -433,18 +433,15 @@ class ResponseMaker:
         precise = set() if sizes is None else _near(axes[0], sizes)
         nodes: list[_Node] = []
         for number in seeing:
-            run, row, most = plain[number], readings[number], self._photons[number]
-            photons = most
+            run, row, photons = plain[number], readings[number], self._photons[number]
+            every = self._sources(effect, run, photons)
             # a number of the bench is looked at as its tolerance is simulated, for every fit
             if is_look and (effect.number is None or photons == self._effect_photons):
                 photons = min(photons, self._look_photons)
-            sources = {
-                n: self._sources(effect, run, n)
-                for n in ({photons, most} if precise else {photons})
-            }
+            few = self._sources(effect, run, photons)
             at_own_acceptance = self._at_own_acceptance(run)
             for place, values in _nodes(axes):
-                source, reference = sources[most if place in precise else photons]
+                source, reference = every if place in precise else few
                 changed = self._changed(effect, source, run, self._moved(row, values))
                 if further is None:
                     nodes.append(_Node(place, number, reference, changed))

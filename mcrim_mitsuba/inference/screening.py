@@ -37,19 +37,20 @@ def promising_effects(
         return {}
     best = min(fits.values(), key=lambda fit: fit.chi2)
     highest = best.chi2 + SCREENING.behind + SCREENING.part_behind * (baseline.chi2 - best.chi2)
-    promising: dict[str, Sizes | None] = {}
-    for name, fit in fits.items():
-        most = highest + SCREENING.errors * error_of_difference(fit, best)
+    most = {
+        name: highest + SCREENING.errors * error_of_difference(fit, best)
+        for name, fit in fits.items()
         # what gains nothing is as far behind as the campaign as it is, and stays there
-        least = SCREENING.least_gain - SCREENING.errors * error_of_difference(fit, baseline)
-        if fit.chi2 < most and baseline.chi2 - fit.chi2 > least:
-            promising[name] = _sizes(explanations, name, most)
-    if best.p_value is not None and best.p_value < ACCEPTABLE_P:
-        # beside others an effect may have any size
-        weighing = weigh_hypotheses(explanations, NullDistribution(explanations, fits), closed=True)
-        likely = (n for n, p in weighing.inclusion.items() if p > SCREENING.included)
-        promising = dict.fromkeys((*promising, *likely))
-    return promising
+        if baseline.chi2 - fit.chi2
+        > SCREENING.least_gain - SCREENING.errors * error_of_difference(fit, baseline)
+    }
+    promising = {name: chi2 for name, chi2 in most.items() if fits[name].chi2 < chi2}
+    if best.p_value is None or best.p_value >= ACCEPTABLE_P:
+        return {name: _sizes(explanations, name, chi2) for name, chi2 in promising.items()}
+    weighing = weigh_hypotheses(explanations, NullDistribution(explanations, fits), closed=True)
+    likely = (name for name, p in weighing.inclusion.items() if p > SCREENING.included)
+    # beside others an effect may be of any size
+    return dict.fromkeys((*promising, *likely))
 
 
 def _sizes(explanations: Explanations, effect: str, most: float) -> Sizes | None:
