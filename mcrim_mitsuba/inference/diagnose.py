@@ -318,8 +318,9 @@ def _judged_precisely(
         judged = weighed(models, pairs)
         lacking = {
             name
-            for name in judged.rests_on
-            if not models.is_precise(name, judged.explanations.fit((name,)).values)
+            for names in judged.rests_on
+            for name in names
+            if not models.is_precise(name, judged.explanations.fit(names).values)
         }
         if together and not pairs and not lacking:
             pairs = judged.pairs
@@ -421,16 +422,15 @@ class Judged:
     seconds: float
 
     @property
-    def rests_on(self) -> set[str]:
-        """Effects that it names or counts with."""
+    def rests_on(self) -> set[tuple[str, ...]]:
+        """Sets of effects that it names or counts with."""
         judgement = self.judgement
         if judgement is None or judgement.verdict.word == ADEQUATE:
             return set()
-        likely = {key for key, p in judgement.probabilities.items() if p > JUDGING.likely}
-        counted = {name for key in likely for name in key.split(" + ")}
-        leading = {name for group in judgement.verdict.leading for name in group}
-        tried = counted & {*self.explanations.effects}
-        return {*leading, *self.set_aside, *tried, *self.chosen}
+        tried, of_sets = self.explanations.effects, judgement.probabilities.items()
+        likely = (key.split(" + ") for key, p in of_sets if p > JUDGING.likely)
+        counted = {tuple(name for name in names if name in tried) for names in likely}
+        return {*judgement.verdict.leading, self.set_aside, self.chosen, *counted}
 
     @property
     def pairs(self) -> set[str]:
