@@ -22,6 +22,8 @@ from mcrim_mitsuba.efficiency.eta_grid import standard_error
 SOURCE_WIDTH = "source_width_mm"
 #: Places that tell whether a line is straight, at least.
 _LEAST_PLACES = 3
+#: Standard errors below which a Gaussian number lies with 95 %.
+_ONE_SIDED_95 = 1.645
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +39,11 @@ class Attenuation:
     length_mm_sigma: float
     #: Largest departure of eta, or of the ratio, from the exponential, relative.
     departure: float
+
+    @property
+    def lower_limit_mm(self) -> float:
+        """What L exceeds with 95 %: the errors of its inverse, the slope, are Gaussian."""
+        return self.length_mm**2 / (self.length_mm + _ONE_SIDED_95 * self.length_mm_sigma)
 
 
 def attenuations(

@@ -168,6 +168,11 @@ def eta_table(
             f"the wanted precision of {100 * precision:g} % was not reached: errors go up to "
             f"{100 * worst:.2g} %"
         )
+    notes += [
+        f"the attenuation length of {fit.light} is not told: it is above {least:.3g} mm (95 %)"
+        for fit in table.attenuation
+        if (least := fit.lower_limit_mm) < 0.5 * fit.length_mm
+    ]
     return replace(table, notes=(*table.notes, *notes))
 
 

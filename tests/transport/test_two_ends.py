@@ -231,6 +231,9 @@ def test_attenuation_lengths_and_their_errors():
     assert left.length_mm_sigma == pytest.approx(length**2 * slope_sigma, rel=0.3)
     # of opposite errors, with twice the slope: no better than either end
     assert ratio.length_mm_sigma == pytest.approx(left.length_mm_sigma)
+    # the slope has Gaussian errors, and may be 1.645 of them steeper
+    steepest = 1.0 / length + 1.645 * left.length_mm_sigma / length**2
+    assert left.lower_limit_mm == pytest.approx(1.0 / steepest)
     assert attenuations({"source_z_mm": (1.0, 2.0)}, np.zeros(2), np.zeros((4, 2))) == ()
 
 
@@ -243,7 +246,17 @@ def test_a_table_over_places_tells_them(mirrors, request):
     assert list(lengths) == ["left", "right", "left / right"]
     for fit in lengths.values():
         assert fit["length_mm"] < 1.0 / 0.02 and fit["departure"] > 0.01
+    assert not any("attenuation length" in note for note in table["notes"])
     assert json.dumps(table["rows"][0]).startswith('{"source_z_mm": 10.0, "detector": "left"')
+
+
+def test_a_length_that_light_does_not_tell_is_said_to_be_longer(mirrors, request):
+    """200000 ± 1000000 mm stood in the table without a word."""
+    given = ("--axis", "source_z_mm=10,50,90", "-D", "alpha_abs_per_cm=1e-6", "--photons", "65536")
+    table = request.getfixturevalue("mcrim").json("table", mirrors.path, *given)
+    (fit,), (note,) = table["attenuation"], (n for n in table["notes"] if "attenuation" in n)
+    assert fit["length_mm_sigma"] > 0.6 * fit["length_mm"] and "is not told" in note
+    assert 1000.0 < float(note.split(" above ")[1].split()[0]) < 0.5 * fit["length_mm"]
 
 
 def test_a_map_of_where_light_arrives_is_of_one_detector(scenes):
