@@ -62,7 +62,7 @@ from mcrim_mitsuba.inference.weighing import INSTRUMENT, AveragedYield, weigh_hy
 from mcrim_mitsuba.runs.executors import more_units_follow
 
 #: What is told of a diagnosis (`core.run.JobProgress`): its parts, and their usual times, %.
-PARTS = (("sim", 19), ("sim", 36), ("sim", 32), ("trying", 4), ("weighing", 6), ("proposed", 3))
+PARTS = (("sim", 18), ("sim", 42), ("sim", 27), ("trying", 4), ("weighing", 6), ("proposed", 3))
 
 
 # ---- the steps of a repair ----
