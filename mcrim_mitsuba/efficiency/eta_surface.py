@@ -34,14 +34,8 @@ from mcrim_mitsuba.efficiency.eta_grid import (
 )
 from mcrim_mitsuba.efficiency.proposals import SMALLEST_PER_CM, choose_proposals
 from mcrim_mitsuba.efficiency.surface import Coefficients, EtaPoint
+from mcrim_mitsuba.runs import executors
 from mcrim_mitsuba.runs.cache import record_versions
-from mcrim_mitsuba.runs.executors import (
-    Content,
-    Finished,
-    Job,
-    current_executor,
-    many_units_executor,
-)
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import LANES, PhotonRecords, ScatteringProposals
@@ -176,7 +170,7 @@ class GridBlock(LaunchBlock):
     grid: Grid
     cuts: tuple[Cut, ...] = (Cut(),)
 
-    def make(self, threads: int | None) -> dict[int, Content]:
+    def make(self, threads: int | None) -> dict[int, executors.Content]:
         """Simulate; one thread weighs a launch's records while the next one is under way."""
         simulation = self.loaded(threads)  # chooses an LLVM before Dr.Jit is imported
         from mcrim_mitsuba.transport.collection import Recorder
@@ -261,7 +255,7 @@ class EtaRun:
         self.cached_photons = 0
         #: Largest relative error of the points that can be answered; 0 where that is enough.
         self.worst = math.inf
-        self._cache = current_executor().cache(
+        self._cache = executors.current_executor().cache(
             {
                 "what": "eta on a grid",
                 "scene": request.scene.content_hash,
@@ -295,12 +289,12 @@ class EtaRun:
         """What the user must know of the cache."""
         return list(self._cache.notes)
 
-    def jobs(self, photons: int) -> list[Job]:
+    def jobs(self, photons: int) -> list[executors.Job]:
         """Units that are missing to have so many photons at least, to be taken in this order."""
         of, run = self.request, self.request.run
         lacking = -(-photons // LANES) * LANES - self.photons
         return [
-            Job(
+            executors.Job(
                 GridBlock(
                     of.what,
                     of.scene,
@@ -318,7 +312,7 @@ class EtaRun:
             for number, block in planned(lacking, self._launches, LARGEST_LAUNCH)
         ]
 
-    def take(self, done: Finished) -> None:
+    def take(self, done: executors.Finished) -> None:
         """Keep what a unit found."""
         unit = done.job.unit
         assert isinstance(unit, GridBlock)
@@ -387,7 +381,7 @@ def _extend(goals: Sequence[tuple[EtaRun, int]], *, by_all: bool = False) -> Non
         of_all.tell(what, had + done, had + total, note)
 
     jobs = [job for _, job in pairs]
-    executor = many_units_executor(of_all.threads)
+    executor = executors.many_units_executor(of_all.threads)
     for done in executor.do(jobs, threads=of_all.threads, by_all=by_all, progress=report):
         pairs[done.index][0].take(done)
     for run, _ in goals:
