@@ -465,8 +465,7 @@ def _read_beam(
                 what = f"{name} = {value_text(value)} of a transmittance"
                 problem = f"{what}, which is measured in air without the bench"
                 raise measurements.refusal(reading, name, problem, "empty the cell")
-        values = {**scene.parameters, **beam, **reading.parameters}
-        if (wrong := too_wide(values)) is None:
+        if (wrong := too_wide({**scene.parameters, **beam, **reading.parameters})) is None:
             continue
         if BEAM_DIAMETER in given and not reading.parameters:
             raise table.refusal(BEAM_DIAMETER, *wrong)

@@ -218,8 +218,7 @@ def _sharing(readings: list[Reading], reduced: Mapping[str, ReducedReading]) -> 
     noises = np.array([reduced[readings[i].label].noise for i in places])
     covariance = noises @ noises.T if noises.size else np.zeros((0, 0))
     sizes = np.sqrt(np.diag(covariance))
-    others = np.abs(covariance) > _LEAST * np.outer(sizes, sizes)
-    sharing = others.sum(axis=1) > 1
+    sharing = (np.abs(covariance) > _LEAST * np.outer(sizes, sizes)).sum(axis=1) > 1
     for i in np.flatnonzero(~sharing & (sizes > 0.0)):
         alone = readings[places[i]]
         readings[places[i]] = replace(alone, sigma=math.hypot(alone.sigma, sizes[i]))

@@ -82,8 +82,7 @@ class Waves:
         signed = np.array(pairs)
         folded, begins = np.unique(np.abs(signed), axis=0, return_index=True)
         stands_for = np.where(signed.any(axis=1), 2.0, 1.0)
-        of_each_fold = np.add.reduceat(stands_for, begins)
-        return cls(signed, stands_for, begins, folded, of_each_fold)
+        return cls(signed, stands_for, begins, folded, np.add.reduceat(stands_for, begins))
 
     def places(self, across: int) -> NDArray[np.int64]:
         """Where the groups are among all p and q below a number, (groups,)."""

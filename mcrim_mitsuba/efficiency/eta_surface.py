@@ -246,8 +246,7 @@ class EtaRun:
         self.request, self.most = request, run.photons_or(MOST_PHOTONS)
         self._grid = request.grid
         least_absorption, _ = self._grid.alpha_abs_range_per_cm
-        scattering = self._grid.alpha_scat_range_per_cm
-        self._proposals = choose_proposals(*scattering, least_absorption)
+        self._proposals = choose_proposals(*self._grid.alpha_scat_range_per_cm, least_absorption)
         self._tables: list[EtaGrid] = []
         self._photons_of: list[int] = []
         self._launches = 0
@@ -317,8 +316,8 @@ class EtaRun:
         unit = done.job.unit
         assert isinstance(unit, GridBlock)
         (chunk,) = done.chunks.values()
-        shape = len(self.request.cuts), *self._grid.counts
-        self._tables.append(table_of(chunk.arrays, *shape))
+        cuts = len(self.request.cuts)
+        self._tables.append(table_of(chunk.arrays, cuts, *self._grid.counts))
         self._photons_of.append(unit.photons)
         self._launches += len(unit.launches)
         self.cached_photons += unit.photons if done.cached else 0
@@ -326,8 +325,7 @@ class EtaRun:
     def look(self) -> None:
         """See what the photons so far tell."""
         sigmas = np.array([s.relative_sigmas(self.request.points) for s in self.surfaces])
-        answered = sigmas[sigmas < _LARGEST_ERROR]
-        self.worst = float(answered.max(initial=0.0))
+        self.worst = float(sigmas[sigmas < _LARGEST_ERROR].max(initial=0.0))
 
     def goal(self) -> int:
         """Photons to have next."""

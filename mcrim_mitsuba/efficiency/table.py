@@ -231,8 +231,7 @@ class TableGrid:
     @property
     def points(self) -> list[Coefficients]:
         """Scattering and absorption, 1/cm, within a configuration; scattering runs fastest."""
-        pairs = itertools.product(*self.inner.values())
-        return [(float(a_s), float(a_a)) for a_a, a_s in pairs]
+        return [(float(a_s), float(a_a)) for a_a, a_s in itertools.product(*self.inner.values())]
 
     @property
     def shape(self) -> tuple[int, ...]:

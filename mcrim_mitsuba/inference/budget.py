@@ -38,8 +38,7 @@ def _parts_of(fit: Calibration, quantities: Quantities) -> tuple[dict[str, Array
     minimum = fit.minimum
     # (quantities, used readings): how a reading moves a quantity
     pulled = quantities.slopes @ minimum.response
-    counted = minimum.weights.errors.statistical_variances(pulled)
-    parts = {"counts": np.sqrt(counted)}
+    parts = {"counts": np.sqrt(minimum.weights.errors.statistical_variances(pulled))}
     for i, parameter in enumerate(fit.model.free):
         roots = {f"bounds, {parameter.name}": math.sqrt(minimum.bounds_weight[i])}
         if parameter.prior_sigma is not None:

@@ -323,6 +323,4 @@ def error_of_difference(fit: Minimum, other: Minimum) -> float:
     if fit is other:
         return 0.0
     one, two = chi2_of_batches(fit), chi2_of_batches(other)
-    if one is None or two is None or len(one) < 2:
-        return 0.0
-    return float(spread(one - two))
+    return 0.0 if one is None or two is None or len(one) < 2 else float(spread(one - two))

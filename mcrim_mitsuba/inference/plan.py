@@ -313,8 +313,7 @@ def _rehearsed(planning: Planning, proposed: Campaign, fit: Calibration, run: Ru
         # readings and priors as the solution predicts them: there is nothing to be explained
         statistic = Statistic(models.model())
         theta = statistic.theta(fit.values)
-        signal = statistic.model.predict(theta).signal[statistic.used]
-        exact = statistic.against(signal, theta)
+        exact = statistic.against(statistic.model.predict(theta).signal[statistic.used], theta)
         explanations = Explanations(models.model, possible, settle(exact, theta))
         tried = [name for name in possible if explanations.possible((name,))]
         null = NullDistribution(explanations, tried, run.seed)

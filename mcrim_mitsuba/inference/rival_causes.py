@@ -195,8 +195,7 @@ def frame_beside(explanations: Explanations, frame: BaselineFrame) -> BaselineFr
         return None
     theta = min(free, key=lambda minimum: minimum.deviance).theta
     weights = Weights(own.errors_at(theta))
-    chi2 = own.chi2(theta, weights)
-    return BaselineFrame(Minimum.at(own, theta, chi2, weights, converged=True))
+    return BaselineFrame(Minimum.at(own, theta, own.chi2(theta, weights), weights, converged=True))
 
 
 def _usual(explanations: Explanations, effect: str, frame: BaselineFrame) -> Array:
@@ -254,8 +253,7 @@ def _correlation(statistic: Statistic, further: Sequence[Mapping[str, Value]] = 
     squared_distance = np.zeros((len(light), len(light)))
     names = {n for i in light[:read] for n in rows[i][0]}
     for name in sorted(names):
-        cells = [rows[i][0].get(name, values.get(name)) for i in light]
-        places = _places(name, cells, read)
+        places = _places(name, [rows[i][0].get(name, values.get(name)) for i in light], read)
         squared_distance += np.subtract.outer(places, places) ** 2
     correlation = np.eye(len(rows))
     correlation[np.ix_(light, light)] = np.exp(-0.5 * squared_distance / DISCREPANCY.length**2)

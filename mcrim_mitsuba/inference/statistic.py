@@ -390,8 +390,7 @@ class Statistic:
         range is near enough then.
         """
         close = LINEAR.at_bound / math.sqrt(curvature) if curvature > 0 else 0.0
-        width = self.free[place].maximum - self.free[place].minimum
-        close = min(close, LINEAR.at_bound * width)
+        close = min(close, LINEAR.at_bound * (self.free[place].maximum - self.free[place].minimum))
         at_minimum = value - self.free[place].minimum <= close
         at_maximum = self.free[place].maximum - value <= close
         if at_minimum and at_maximum:

@@ -149,8 +149,7 @@ class Weighing:
     @property
     def mixture(self) -> rehearsal.Mixture:
         """Of ln(scale / that of the baseline), a Gaussian for each hypothesis."""
-        scales = [(h.log_scale, h.log_scale_sigma) for h in self.hypotheses]
-        means, sigmas = np.array(scales).T
+        means, sigmas = np.array([(h.log_scale, h.log_scale_sigma) for h in self.hypotheses]).T
         return self.shares, means, sigmas
 
     def probability(self, holds: Callable[[Hypothesis], bool]) -> float:
@@ -522,8 +521,7 @@ class _Weigher:
             family = self._explanations.effects[name].family
             held = (self._members == i).any(axis=0)
             members[family] = members.get(family, np.zeros(len(shares), bool)) | held
-        wrong = (self._members >= count).any(axis=0)
-        members[INSTRUMENT] = wrong | (sets.error_factors != 1.0)
+        members[INSTRUMENT] = (self._members >= count).any(axis=0) | (sets.error_factors != 1.0)
         members[rival_causes.UNKNOWN] = sets.amplitudes > 0.0
         families = {family: float(shares[held].sum()) for family, held in members.items()}
         families[NOTHING_MISSING] = float(shares[self.place_of(())])

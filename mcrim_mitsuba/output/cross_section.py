@@ -137,8 +137,7 @@ class SectionAxes:
                 text = f"{face.name}: {kind}, {100 * face.reflectance:.3g} %"
                 # paint lies outside of the face that wears it
                 far = trace.points[::-1] + band * (-trace.back if surface.painted else trace.back)
-                outline = np.vstack([trace.points, far])
-                self.fill(outline, fc="white", ec=INK, hatch="/" * 6, lw=0)
+                self.fill(np.vstack([trace.points, far]), fc="white", ec=INK, hatch="/" * 6, lw=0)
                 self.line(far, "none", 0.0)
             if kind != "dielectric":
                 self.named.setdefault(text, []).append(trace.points)

@@ -264,8 +264,7 @@ def ratio_curve(fit: Calibration) -> RatioOfSignals | None:
     if pair is None or ALPHA_SCAT not in fit.names:
         return None
     first, second = pair
-    readings = model.campaign.measurements.readings
-    rows = [readings.index(reading) for reading in pair]
+    rows = [model.campaign.measurements.readings.index(reading) for reading in pair]
     index = fit.names.index(ALPHA_SCAT)
     theta = fit.theta.copy()
     solution, bounds = float(theta[index]), model.free[index]

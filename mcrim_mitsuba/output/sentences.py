@@ -438,8 +438,7 @@ def quality(comparison: Comparison | Calibration) -> str:
             f"{words}the readings determine the parameters, but say nothing about whether the "
             "model is right"
         )
-    spread = math.sqrt(2.0 * ndf)
-    expected = f"{ndf} ± {spread:.1f} is expected (ndf = {ndf})"
+    expected = f"{ndf} ± {math.sqrt(2.0 * ndf):.1f} is expected (ndf = {ndf})"
     words = f"chi2 = {chi2} where {expected}, {p_equals(comparison.p_value)}: "
     if fails(comparison):
         return words + "the model does not describe the readings"

@@ -62,8 +62,7 @@ class DetectorPlane:
         share = (np.arange(_RADII) + 0.5) / _RADII
         radius = np.sqrt(inner[:, None] + share * (outer - inner)[:, None])
         angle = 2.0 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND
-        around = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        points = radius[..., None, None] * around
+        points = radius[..., None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         hit = self.on_detector(points.reshape(-1, 2)).reshape(len(inner), -1)
         return np.pi * (outer - inner) * hit.mean(axis=1)
 

@@ -49,8 +49,7 @@ def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckRepo
     problems = problems_of_scene(simulation, faces)
     if light and not problems:
         problems = _problems_of_detector(simulation)
-    path = choose_path(model, simulation.polarization)
-    sentences = describe(simulation, faces, path.name)
+    sentences = describe(simulation, faces, choose_path(model, simulation.polarization).name)
     notes = (*file.notes, *simulation.notes)
     return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences), notes)
 
@@ -186,8 +185,7 @@ def _problems_of_detector(simulation: Simulation) -> list[SceneProblem]:
     detector = next(s for s in simulation.model.surfaces if s.kind == DETECTOR)
     text = f"no light can reach the detector {detector.name}: none of {SCOUTS:,} photons did"
     mend = "look for something opaque before it, or for a detector in the wrong place"
-    place = simulation.file.place_of_id(detector.name)
-    return [SceneProblem("detector", text, mend, *place)]
+    return [SceneProblem("detector", text, mend, *simulation.file.place_of_id(detector.name))]
 
 
 # ---- what the scene means -------------------------------------------------------------

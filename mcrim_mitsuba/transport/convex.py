@@ -534,8 +534,7 @@ class _Mantle:
         """Number (UInt32) of the face that is met at some distance."""
         if len(self._numbers) == 1:
             return mi.UInt32(self._numbers[0])
-        z = dr.fma(t, ray.direction.z, ray.origin.z)
-        return _choice(z <= self._level, *self._numbers)
+        return _choice(dr.fma(t, ray.direction.z, ray.origin.z) <= self._level, *self._numbers)
 
     def is_of(self, face):
         """Whether faces of these numbers (UInt32) are this wall (Mask)."""

@@ -241,8 +241,7 @@ class FoldedBody(ConvexBody):
                 first = missed == 2.0 * dr.floor(0.5 * missed)
                 number = dr.select(upwards == first, mi.UInt32(high.leave), mi.UInt32(low.leave))
                 out.let_out(~opens & (t < t_open) & (t < out.out), t, number)
-        far = out.out >= self._longest
-        out.let_out(far, self._longest, mi.UInt32(NO_FACE))
+        out.let_out(out.out >= self._longest, self._longest, mi.UInt32(NO_FACE))
         if any(side.leave_rows for side in self._sides):
             place, flying, _ = self.folded(ray.origin, ray.direction, out.out, out.leaving, True)
             ray = Ray(place, flying)
@@ -288,8 +287,7 @@ class FoldedBody(ConvexBody):
         assert self._wall is not None
         if self._wall_total is None:
             return mi.Mask(False)
-        cosine2 = root2 / dr.square(self._wall.disc.radius)
-        return 1.0 - cosine2 >= self._wall_total
+        return 1.0 - root2 / dr.square(self._wall.disc.radius) >= self._wall_total
 
     def _turn(self, place, flying, ray: Ray, distance, mine):
         """Turn places and directions by the reflections at the round wall; their number."""

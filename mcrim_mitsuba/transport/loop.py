@@ -210,8 +210,7 @@ class Loop:
             born = self._aim + dr.zeros(mi.Vector3f, lanes)
         field = None
         if self.path.polarization:
-            turn = self._lattice.coordinate(point, 5)
-            field = unpolarised_field(born, dr.two_pi * turn)
+            field = unpolarised_field(born, dr.two_pi * self._lattice.coordinate(point, 5))
         return Photon(
             o=self._birthplace(zero),
             d=born,
@@ -352,8 +351,7 @@ class Loop:
         field = None
         if polarized:
             turn = dr.select(ended, self._lattice.coordinate(point, 5), turn)
-            unpolarised = unpolarised_field(scattered, dr.two_pi * turn)
-            field = dr.select(fresh, unpolarised, outcome.field)
+            field = dr.select(fresh, unpolarised_field(scattered, dr.two_pi * turn), outcome.field)
         history = self._write(
             Step(
                 p,

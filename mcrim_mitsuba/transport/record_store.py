@@ -53,8 +53,7 @@ def _scattered(step: Step, mine):
 
 def _log_rayleigh(step: Step, mine):
     cosine = dr.dot(step.arriving, step.scattered)
-    relative = 0.75 * dr.fma(cosine, cosine, 1.0)
-    return dr.select(_scattered(step, mine), dr.log(relative), 0.0)
+    return dr.select(_scattered(step, mine), dr.log(0.75 * dr.fma(cosine, cosine, 1.0)), 0.0)
 
 
 def _at_surface(event: Callable[..., Any]) -> Callable[..., Any]:

@@ -271,8 +271,7 @@ class FlatFace:
     @property
     def filled_area(self) -> float:
         """In mm2, without the hole in it."""
-        whole = float(np.linalg.norm(cross(self.edge_u, self.edge_v)))
-        return whole / (1 + self.triangle)
+        return float(np.linalg.norm(cross(self.edge_u, self.edge_v))) / (1 + self.triangle)
 
     def margin(self, points: np.ndarray) -> np.ndarray:
         """How far inside points of its plane, shape (n, 3), lie, in parts of its edges."""

@@ -234,8 +234,7 @@ class Encounter:
     def diffuse_about(self, normal):
         """A direction by Lambert's law about a unit normal."""
         # a point of the unit sphere that touches the surface
-        sphere = mi.warp.square_to_uniform_sphere(mi.Point2f(self.u, self.v))
-        return dr.normalize(normal + sphere)
+        return dr.normalize(normal + mi.warp.square_to_uniform_sphere(mi.Point2f(self.u, self.v)))
 
     def lambertian(self):
         """A direction by Lambert's law, and unpolarised light along it."""

@@ -240,8 +240,7 @@ def claimed_indices(interfaces: Iterable[Interface]) -> dict[str, list[tuple[flo
     """What faces say of the index of every named volume; what is outside may differ."""
     claims: dict[str, list[tuple[float, Interface]]] = {}
     for face in interfaces:
-        sides = (face.interior, face.n_interior), (face.exterior, face.n_exterior)
-        for volume, index in sides:
+        for volume, index in (face.interior, face.n_interior), (face.exterior, face.n_exterior):
             if index is not None and volume != "outside":
                 claims.setdefault(volume, []).append((index, face))
     return claims
@@ -409,8 +408,7 @@ class _Judge:
         if not sides:
             return None
         (axis, high), _ = sides.most_common(1)[0]
-        place = (upper if high else lower)[axis]
-        return axis, round(float(place), 5) + 0.0
+        return axis, round(float((upper if high else lower)[axis]), 5) + 0.0
 
     def neighbours(self) -> list[SceneProblem]:
         """Neighbouring faces that give the space between them different indices."""

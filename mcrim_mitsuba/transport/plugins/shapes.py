@@ -32,8 +32,7 @@ class Polygons(mi.Mesh):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        to_world = props.get("to_world", mi.ScalarTransform4f())
-        matrix = np.array(to_world.matrix, dtype=np.float64)
+        matrix = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, dtype=np.float64)
         polygons = self.polygons(props, matrix)
         self.empty = not polygons
         if self.empty:

@@ -149,8 +149,7 @@ class LyingFillet(_Lying):
             np.array([low, low + x, low + x + z, low + z]),
             np.array([low + y, low + y + z, low + y + z + x, low + y + x]),
         ]
-        across = np.linspace(-wet, wet, 17)
-        under = [(at, float(_height(radius, at))) for at in across]
+        under = [(at, float(_height(radius, at))) for at in np.linspace(-wet, wet, 17)]
         ends = []
         for (left, up), (right, next_up) in itertools.pairwise(under):
             foot = [(half, left, -thickness), (half, right, -thickness)]
