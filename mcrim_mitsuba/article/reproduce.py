@@ -166,9 +166,8 @@ def described(result: ArticleResult, folder: str) -> Description:
         "The article leaves open, or we find otherwise:": result.open_points,
     }
     light_yield = (
-        f"Light yield of CaMoO4: {fitted.value:.2f} ± {fitted.statistical_sigma:.2f} "
-        f"(statistical) ± {fitted.systematic_sigma:.2f} (systematic) ph/keV; the article: "
-        "7.5 ± 1.2."
+        f"Light yield of CaMoO4: {fitted.value:.2f} ± {fitted.statistical_sigma:.2f} (statistical) "
+        f"± {fitted.systematic_sigma:.2f} (systematic) ph/keV; the article: 7.5 ± 1.2."
     )
     parts = (
         Sentence(f"Verdicts. {RULE}"),

@@ -191,10 +191,9 @@ BOTTOM_ROUGHNESS = one_side(
         "mounting scratches it. Turn the crystal over and measure again."
     ),
     physics=(
-        "The face before the detector is scratched when crystals are mounted, turned "
-        "and wiped; where a gel covers it, its roughness is nearly matched. It is one "
-        "of facets with tilted normals (GGX, width alpha), as in surface_roughness, and "
-        "the other faces are polished."
+        "The face before the detector is scratched when crystals are mounted, turned and wiped; "
+        "where a gel covers it, its roughness is nearly matched. It is one of facets with tilted "
+        "normals (GGX, width alpha), as in surface_roughness, and the other faces are polished."
     ),
 )
 

@@ -236,9 +236,8 @@ NON_PROPORTIONALITY = Effect(
     physics=(
         "Light per keV is not the same for all energies: where an electron ionises densely, at the "
         "end of its track, excitations quench each other. In most oxides light per keV rises with "
-        "the energy, in alkali halides it falls. It is taken as a power of the energy, "
-        "relative to that of the light yield, or of the first row. It acts before a nonlinear "
-        "readout."
+        "the energy, in alkali halides it falls. It is taken as a power of the energy, relative to "
+        "that of the light yield, or of the first row. It acts before a nonlinear readout."
     ),
     source=(
         "P. Dorenbos, J. T. M. de Haas and C. W. E. van Eijk, IEEE Transactions on Nuclear "
