@@ -67,9 +67,8 @@ class BulkMedium(mi.Medium):
         self.relative_bandwidth = width / wavelength
         self.endless = bool(props.get("endless", False))
         if self.endless and any(given):
-            raise ValueError(
-                "an endless medium neither scatters nor absorbs: take its numbers away"
-            )
+            problem = "an endless medium neither scatters nor absorbs: take its numbers away"
+            raise ValueError(problem)
         if "index" in props and not is_filled(float(props["index"])):
             given = [0.0, 0.0]
         self.alpha_scat_per_cm, self.alpha_abs_per_cm = map(mi.Float64, given)
