@@ -155,9 +155,8 @@ def _cells(campaign: Campaign) -> dict[str, list[str]]:
 def _with_cells(campaign: Campaign, cells: Mapping[str, list[str]], folder: Path) -> Campaign:
     """The campaign with other cells; the refusal stands beside the cell, and tells no line."""
     with placed():
-        return with_table(
-            campaign, editor.table_text(campaign.measurements.comments, cells), folder
-        )
+        table = editor.table_text(campaign.measurements.comments, cells)
+        return with_table(campaign, table, folder)
 
 
 def scene_file(

@@ -135,16 +135,14 @@ def _rows(
 def document_of(result: ArticleResult, figures: Iterable[Path]) -> dict[str, Any]:
     """What ``--json`` writes."""
     errors = "statistical=statistical_sigma systematic=systematic_sigma"
+    weighed = attributes(result.contradiction.diagnosis, "probabilities light_yield_averaged")
     return {
         "rows": result.rows,
         "verdict_rule": RULE,
         "monte_carlo_errors": MONTE_CARLO,
         **attributes(result, "agreement inconsistencies open_points"),
         "light_yield_ph_per_keV": attributes(result.yields.fitted, f"value {errors}"),
-        "transmittance": {
-            "sentences": contradiction.sentences(result.contradiction),
-            **attributes(result.contradiction.diagnosis, "probabilities light_yield_averaged"),
-        },
+        "transmittance": {"sentences": contradiction.sentences(result.contradiction), **weighed},
         "figures": figures,
         **attributes(result, "photons seed seconds versions scene_hashes"),
     }

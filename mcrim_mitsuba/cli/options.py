@@ -527,12 +527,8 @@ def _command() -> dict[str, Any]:
             skip = not skip
         elif word.partition("=")[0] not in own_options:
             arguments.append(word)
-    return {
-        "arguments": arguments,
-        "folder": os.getcwd(),
-        "versions": record_versions(variant, context.command.callback.__module__, *effects),
-        "files": _hashes(),
-    }
+    versions = record_versions(variant, context.command.callback.__module__, *effects)
+    return {"arguments": arguments, "folder": os.getcwd(), "versions": versions, "files": _hashes()}
 
 
 def _hashes() -> dict[str, str]:

@@ -122,9 +122,8 @@ class ArrivalTimes(OverAxes):
     @property
     def rows(self) -> list[tuple[float, float, float]]:
         """Rows of the histogram: time_ps, part, part_sigma."""
-        return list(
-            zip(*(x.tolist() for x in (self.time_ps, self.part, self.part_sigma)), strict=True)
-        )
+        columns = self.time_ps, self.part, self.part_sigma
+        return list(zip(*(x.tolist() for x in columns), strict=True))
 
     def to_xarray(self) -> xarray.Dataset:
         """The histogram over time_ps, and the first photons over their number and births."""

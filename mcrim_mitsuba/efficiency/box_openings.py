@@ -480,10 +480,8 @@ def _in_small_hole(bench: Bench, along: _Chords, *, kinks_at_edge: bool) -> list
         entered * (1.0 - lost[1][:, None] * (y > far[1][:, None])) for far, lost in along.ends
     ]
     waves = along.waves(y)
-    return [
-        over_x.swapaxes(1, 2) @ ((weight * kept)[..., None] * waves)
-        for over_x, kept in zip(along.kept(0, chord), kept_along_y, strict=True)
-    ]
+    pairs = zip(along.kept(0, chord), kept_along_y, strict=True)
+    return [over_x.swapaxes(1, 2) @ ((weight * kept)[..., None] * waves) for over_x, kept in pairs]
 
 
 #: Gauss nodes on each part of the hole, more than orders.

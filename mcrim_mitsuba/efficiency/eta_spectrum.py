@@ -189,9 +189,8 @@ def _by_photons(plan: _Plan, run: Run) -> _Answer:
     if run.photons is None and run.precision is None:
         run = replace(run, photons=PHOTONS)
     benches = zip(plan.nodes_nm, plan.benches, strict=True)
-    records = record_surfaces(
-        [EtaRequest(f"{nm:.0f} nm", bench, plan.points, run) for nm, bench in benches]
-    )
+    requests = [EtaRequest(f"{nm:.0f} nm", bench, plan.points, run) for nm, bench in benches]
+    records = record_surfaces(requests)
     rows = []
     for surface, _ in records:
         for nm, point in zip(plan.asked_nm, plan.points, strict=True):

@@ -114,11 +114,8 @@ class _Modes:
         kernel = kernel + kernel.transpose(0, 1, 3, 2, 4, 6, 5, 7)
         detected, left = (x + x.swapaxes(2, 3) for x in (detected, left))
         size = self.size
-        return _Systems(
-            kernel.reshape(*shape[:2], size, size),
-            detected.reshape(*shape[:2], size),
-            left.reshape(*shape[:2], size),
-        )
+        whole = kernel.reshape(*shape[:2], size, size)
+        return _Systems(whole, detected.reshape(*shape[:2], size), left.reshape(*shape[:2], size))
 
     @property
     def _across(self) -> tuple[_Array, _Array]:

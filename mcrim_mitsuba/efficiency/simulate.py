@@ -76,12 +76,9 @@ def collect(
         type(current_executor()) is Executor
         and _lacking(simulation, photons, run, max_depth) <= AT_ONCE * simulation.launcher().size
     ):
+        report = tell if run.progress else None
         return simulation.collect(
-            photons,
-            precision=run.precision,
-            seed=run.seed,
-            progress=tell if run.progress else None,
-            max_depth=max_depth,
+            photons, precision=run.precision, seed=run.seed, progress=report, max_depth=max_depth
         )
     return _collect_in_units(simulation, photons, run, what, max_depth, tell)
 

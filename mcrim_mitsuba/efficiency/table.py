@@ -91,10 +91,8 @@ class EtaTable(OverAxes):
 
     def to_xarray(self) -> xarray.Dataset:
         """Eta and eta_sigma over the axes, with units; attributes make it reproducible."""
-        dataset = self.dataset(
-            {name: (tuple(self.axes), getattr(self, name)) for name in ("eta", "eta_sigma")},
-            {name: list(values) for name, values in self.axes.items()},
-        )
+        arrays = {name: (tuple(self.axes), getattr(self, name)) for name in ("eta", "eta_sigma")}
+        dataset = self.dataset(arrays, {name: list(values) for name, values in self.axes.items()})
         dataset.eta.attrs["long_name"] = "light collection efficiency"
         for name in self.axes:
             dataset[name].attrs.setdefault("units", "1")

@@ -71,9 +71,8 @@ def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, Erro
             others = np.hypot(others, part)
     parts["tolerance, others"] = others
     budgets = {}
-    for i, (name, value) in enumerate(
-        zip(quantities.names, quantities.values.tolist(), strict=True)
-    ):
+    values = quantities.values.tolist()
+    for i, (name, value) in enumerate(zip(quantities.names, values, strict=True)):
         errors = {origin: float(part[i]) for origin, part in parts.items()}
         if name in fit.parameters and _DETECTOR in fit.parameters[name].contributions:
             light_yield = fit.parameters[name]
@@ -274,6 +273,7 @@ def budget(
     contributions = contributions_to(fit, own)
     neglected = work.neglected()
     together = work.together(neglected)
+    provenance = spent_together([simulations.provenance(), work.provenance()])
     return Budget(
         fit=fit,
         main=own.main(tuple(campaign.priors)),
@@ -282,10 +282,7 @@ def budget(
         together=together,
         totals=totals(own, contributions, neglected, work.corrected, together),
         not_estimated=work.refused,
-        provenance=replace(
-            spent_together([simulations.provenance(), work.provenance()]),
-            seconds=time.perf_counter() - start,
-        ),
+        provenance=replace(provenance, seconds=time.perf_counter() - start),
         places=places,
         corrections=yield_corrections(campaign, known.depth),
     )

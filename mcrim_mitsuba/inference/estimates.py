@@ -111,6 +111,7 @@ def offsets(minimum: Minimum) -> tuple[NumberOffset, ...]:
     if SCALE in minimum.names:
         relative = minimum.response[minimum.names.index(SCALE)] @ moved / minimum.values[SCALE]
         of_scale = np.abs(relative).tolist()
+    tolerances = minimum.statistic.model.campaign.tolerances if len(mean) else ()
     return tuple(
         NumberOffset(
             tolerance=tolerance,
@@ -119,11 +120,7 @@ def offsets(minimum: Minimum) -> tuple[NumberOffset, ...]:
             of_scale=part,
         )
         for tolerance, offset, variance, part in zip(
-            minimum.statistic.model.campaign.tolerances if len(mean) else (),
-            mean.tolist(),
-            variances.tolist(),
-            of_scale,
-            strict=True,
+            tolerances, mean.tolist(), variances.tolist(), of_scale, strict=True
         )
     )
 
@@ -176,16 +173,14 @@ def light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEs
             return None
         return value + sign * math.hypot((of_scale - scale.value) * known.per_scale, of_efficiency)
 
+    parts = {origin: part * known.per_scale for origin, part in scale.contributions.items()}
     return ParameterEstimate(
         value=value,
         sigma=math.hypot(scale.sigma * known.per_scale, of_efficiency),
         lower=end(scale.lower, -1.0),
         upper=end(scale.upper, +1.0),
         at_bound=scale.at_bound,
-        contributions={
-            **{origin: part * known.per_scale for origin, part in scale.contributions.items()},
-            "detector_efficiency": of_efficiency,
-        },
+        contributions={**parts, "detector_efficiency": of_efficiency},
         efficiency_contributions={
             origin: value * part / known.detector_efficiency
             for origin, part in known.efficiency_parts.items()

@@ -118,10 +118,8 @@ def compare_hypotheses(
     parameters = given[0].parameters
     # what is simulated depends on where the coefficients start, and fits do not
     starts = {n: parameters[n].start for n in (ALPHA_SCAT, ALPHA_ABS) if n in parameters}
-    benches = {
-        name: CampaignSimulations(one.with_starts(starts), run)
-        for name, one in zip(NAMES, given, strict=False)
-    }
+    pairs = zip(NAMES, given, strict=False)
+    benches = {name: CampaignSimulations(one.with_starts(starts), run) for name, one in pairs}
     explained, fits = dict[str, Explanations](), dict[str, Calibration]()
     done: PartDoneError | None = None
     for bench in benches.values():
@@ -183,10 +181,8 @@ def side_by_side(
     verdict, reason = _verdict([named[name] for name in leading], results[best])
     # as they are shown: each with its bench's numbers off as the readings have them
     predicted = np.ptp([[row.model for row in fit.rows] for fit in results.values()], axis=0)
-    apart = {
-        row.label: float(far / row.sigma)
-        for row, far in zip(results[best].rows, predicted, strict=True)
-    }
+    pairs = zip(results[best].rows, predicted, strict=True)
+    apart = {row.label: float(far / row.sigma) for row, far in pairs}
     return SideBySide(verdict, reason, leading, hypotheses, apart)
 
 

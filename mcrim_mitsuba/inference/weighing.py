@@ -169,6 +169,7 @@ class Weighing:
         middle = rehearsal.quantile(self.shares, means, sigmas, 0.5)
         factor_68, factor_95 = self.widening
         # all that the efficiency does is common to all hypotheses, and is not widened
+        factors = factor_95, factor_68, 1.0, factor_68, factor_95
         ends = [
             rehearsal.quantile(
                 self.shares,
@@ -176,9 +177,7 @@ class Weighing:
                 np.hypot(factor * sigmas, efficiency),
                 part,
             )
-            for part, factor in zip(
-                rehearsal.QUANTILES, (factor_95, factor_68, 1.0, factor_68, factor_95), strict=True
-            )
+            for part, factor in zip(rehearsal.QUANTILES, factors, strict=True)
         ]
         lower_95, lower, value, upper, upper_95 = (known.per_scale * scale * np.exp(ends)).tolist()
         # parts as those of the variance, but no part is farther away than 95 % of all
@@ -305,10 +304,8 @@ class _Weigher:
         """Effects around whose own fit sets are to be weighed, the likeliest first."""
         weights = {name: self._log_weights[self.place_of((name,))] for name in self._effects}
         least = max(weights.values(), default=0.0) + math.log(HYPOTHESES.centred)
-        names = sorted(
-            (name for name, weight in weights.items() if weight > max(least, 0.0)),
-            key=lambda name: -weights[name],
-        )
+        likely = (name for name, weight in weights.items() if weight > max(least, 0.0))
+        names = sorted(likely, key=lambda name: -weights[name])
         return names[: HYPOTHESES.most_centres]
 
     def centre_on(self, effect: str) -> None:
@@ -555,10 +552,9 @@ class _Weigher:
 
 def _p_value(hypotheses: Iterable[Hypothesis], shares: Array) -> float:
     """Of a larger misfit than that of the readings, averaged over hypotheses that were fitted."""
+    pairs = zip(hypotheses, shares.tolist(), strict=True)
     fitted = [
-        (share, hypothesis.p_value)
-        for hypothesis, share in zip(hypotheses, shares.tolist(), strict=True)
-        if hypothesis.p_value is not None
+        (share, hypothesis.p_value) for hypothesis, share in pairs if hypothesis.p_value is not None
     ]
     total = sum(share for share, _ in fitted)
     return sum(share * p for share, p in fitted) / total if total > 0.0 else 1.0

@@ -228,10 +228,8 @@ class SectionAxes:
     def label(self, brief: bool = False) -> None:
         """Name everything in view: volumes inside if there is room, all else beside by a leader."""
         # texts, cells that a leader may point to, and the volume that it may go through
-        beside = [
-            ([text], np.vstack([*map(self.cells_of, lines)]), 0)
-            for text, lines in self.named.items()
-        ]
+        named = self.named.items()
+        beside = [([text], np.vstack([*map(self.cells_of, lines)]), 0) for text, lines in named]
         for volume in sorted({region.volume for region in self.cut.regions}):
             texts, inside = self.texts(volume, brief), self.owner == volume
             if not self.place(texts, np.argwhere(inside)[:, ::-1], volume):

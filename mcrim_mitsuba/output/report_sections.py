@@ -226,10 +226,8 @@ def _mended(campaign: Campaign, repaired: repair.Repaired) -> tuple[SourceFile, 
     remarks = repair.remarks_on(repaired.diagnosis, repaired.effects)
     scene, text = repair.mended_files(campaign, repaired.fit, target, remarks)
     old, name = campaign.scene, target.with_suffix(".xml").name
-    return (
-        changed("campaign", campaign.path.name, campaign.text, target.name, text),
-        changed("scene", old.path.name, repair.scene_text(old), name, repair.scene_text(scene)),
-    )
+    bench = changed("scene", old.path.name, repair.scene_text(old), name, repair.scene_text(scene))
+    return changed("campaign", campaign.path.name, campaign.text, target.name, text), bench
 
 
 # The ratio of two signals, and the efficiency of every reading.

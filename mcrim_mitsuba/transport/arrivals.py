@@ -69,10 +69,8 @@ class DetectorPlane:
     def cell_areas(self, x_edges_mm, y_edges_mm) -> np.ndarray:
         """Area (mm2) on the detector of the cells of a grid, shape (y, x)."""
         share = (np.arange(_RADII) + 0.5) / _RADII
-        x, y = (
-            (edges[:-1, None] + share * np.diff(edges)[:, None]).ravel()
-            for edges in (x_edges_mm, y_edges_mm)
-        )
+        both = x_edges_mm, y_edges_mm
+        x, y = ((edges[:-1, None] + share * np.diff(edges)[:, None]).ravel() for edges in both)
         points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         hit = self.on_detector(points).reshape(len(y) // _RADII, _RADII, -1, _RADII)
         return np.diff(y_edges_mm)[:, None] * np.diff(x_edges_mm) * hit.mean(axis=(1, 3))

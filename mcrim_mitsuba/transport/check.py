@@ -195,10 +195,8 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
     """What light can do in a scene; `transport` names the path that `simulate` will take."""
     model = simulation.model
     indices = volume_indices(interfaces)
-    sentences = [
-        _volume_sentence(model, number, indices, simulation.crystal)
-        for number in range(1, len(model.volumes))
-    ]
+    numbers = range(1, len(model.volumes))
+    sentences = [_volume_sentence(model, number, indices, simulation.crystal) for number in numbers]
     detectors = []
     for surface in model.surfaces:
         if surface.kind == DETECTOR:
@@ -209,9 +207,8 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
         sentences.append(f"eta is that of {model.detectors[model.counted]} alone")
     for surface in model.surfaces:
         sentences += _surface_sentences(surface)
-    sentences += [
-        f"{shape.id()} {shape.words}" for shape in model.scene.shapes() if hasattr(shape, "words")
-    ]
+    shapes = model.scene.shapes()
+    sentences += [f"{shape.id()} {shape.words}" for shape in shapes if hasattr(shape, "words")]
     imperfect: dict[str, list[str]] = {}
     for surface in model.surfaces:
         if surface.painted:
@@ -228,10 +225,8 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
         if simulation.polarization
         else "Fresnel reflection is that of unpolarised light"
     )
-    sentences += [
-        f"{name} = {material.value}: {material.words}"
-        for name, material in simulation.file.materials.items()
-    ]
+    materials = simulation.file.materials.items()
+    sentences += [f"{name} = {material.value}: {material.words}" for name, material in materials]
     return [*sentences, f"transport: {transport}"]
 
 

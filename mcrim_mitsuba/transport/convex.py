@@ -112,14 +112,11 @@ def _find_convex_solids(model: SceneModel) -> list[Solid]:
         around = {
             number: {
                 side
-                for sides in (
-                    *(_sides(model, face) for plane in planes for face in plane.faces),
-                    *(
-                        model.surfaces[model.walls[wall].surface].sides
-                        for wall in round_walls.get(number, ())
-                    ),
+                for surface in (
+                    *(model.flat_faces[face].surface for plane in planes for face in plane.faces),
+                    *(model.walls[wall].surface for wall in round_walls.get(number, ())),
                 )
-                for side in sides
+                for side in model.surfaces[surface].sides
                 # no light comes back from a liquid without end
                 if side not in enclosed and side != model.endless
             }

@@ -180,9 +180,8 @@ class FoldedBody(ConvexBody):
             if any(contacts):
                 per_log = opaque([1.0 / math.log1p(-max(contacts))])
                 self._contacts[axis] = per_log, *map(bool, contacts)
-                self.touched += [
-                    f for end, c in zip(ends, contacts, strict=True) if c for f in end.faces
-                ]
+                pairs = zip(ends, contacts, strict=True)
+                self.touched += [f for end, c in pairs if c for f in end.faces]
         self._wall_total = None
         if wall_folds(model, solid):
             assert solid.circle is not None

@@ -435,11 +435,8 @@ class Loop:
         """What the loop found, when it has run."""
         slope: Any = None
         if self._tangent is not None:
-            varied = [
-                coefficients[n]
-                for coefficients in (self._scat, self._absorb)
-                for n in self._tangent
-            ]
+            both = self._scat, self._absorb
+            varied = [coefficients[n] for coefficients in both for n in self._tangent]
             dr.enqueue(dr.ADMode.Forward, varied)
             dr.traverse(dr.ADMode.Forward)
             every = final.fates[physics.DETECTED]

@@ -244,11 +244,8 @@ class RecordStore:
         # the first lanes may follow one photon more
         per_lane, more = divmod(self._photons, plan.lanes)
         of_more = opaque([more * (per_lane + 1)], mi.UInt32)
-        lane = dr.select(
-            seen < of_more,
-            seen // opaque([per_lane + 1], mi.UInt32),
-            opaque([more], mi.UInt32) + (seen - of_more) // opaque([per_lane], mi.UInt32),
-        )
+        later = opaque([more], mi.UInt32) + (seen - of_more) // opaque([per_lane], mi.UInt32)
+        lane = dr.select(seen < of_more, seen // opaque([per_lane + 1], mi.UInt32), later)
         columns = {"batch": dr.gather(mi.UInt32, opaque(plan.batch, mi.UInt32), lane)}
         for (name, column), value in zip(self._columns.items(), rows, strict=False):
             if column.counts:

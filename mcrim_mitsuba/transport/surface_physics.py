@@ -248,10 +248,8 @@ class Encounter:
         direction = dr.normalize(dr.fma(self.facing, 2.0 * self.cosine, self.direction))
         if self.field is None:
             return direction, None
-        turned = (
-            dr.fma(self.facing, 2.0 * dr.dot(self.facing, e), -e)
-            for e in (self.field.re, self.field.im)
-        )
+        parts = self.field.re, self.field.im
+        turned = (dr.fma(self.facing, 2.0 * dr.dot(self.facing, e), -e) for e in parts)
         return direction, dielectric.Field(*turned)
 
 

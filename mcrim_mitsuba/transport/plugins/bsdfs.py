@@ -229,9 +229,8 @@ class Polish(mi.BSDF):
         self.ground_loss = number(props, "ground_loss", 0.0)
         self.rms_roughness_nm = number(props, "rms_roughness_nm", 0.0, high=HIGHEST_NM)
         self.wavelength_nm = number(props, "wavelength_nm", USUAL_NM, low=100.0, high=1e4)
-        self.smooth = mi.load_dict(
-            {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior}, parallel=False
-        )
+        dielectric = {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior}
+        self.smooth = mi.load_dict(dielectric, parallel=False)
         _take_flags(self, self.smooth)
 
     def sample(self, ctx, si, sample1, sample2, active=True):

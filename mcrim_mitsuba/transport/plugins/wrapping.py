@@ -83,9 +83,8 @@ class Wrapping(shapes.Polygons):
         names = (TOP, FOOT, *sides)
         #: What bounds what is wrapped: whether it is left out, normals outwards, shape (n, 3), and
         #: how far from the scene's origin along these, mm. The top is the first, the foot next.
-        self.open = np.array(
-            [n in self.without or (n in sides and SIDES in self.without) for n in names]
-        )
+        missing = [n in self.without or (n in sides and SIDES in self.without) for n in names]
+        self.open = np.array(missing)
         angles = 2.0 * np.pi / count * np.arange(count)
         normals = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(count)])
         self.normals = np.vstack([(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), normals]) @ turn.T
