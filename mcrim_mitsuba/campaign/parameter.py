@@ -291,11 +291,8 @@ class DetectorTerms:
     @property
     def factor(self) -> float:
         """What is counted of light inside the window, over the efficiency that a campaign gives."""
-        return (
-            (self.collection or 1.0)
-            * (self.cells or 1.0)
-            / (1.0 - self.window_reflectance * self.in_air)
-        )
+        collection, cells = self.collection or 1.0, self.cells or 1.0
+        return collection * cells / (1.0 - self.window_reflectance * self.in_air)
 
     @property
     def notes(self) -> Iterator[str]:

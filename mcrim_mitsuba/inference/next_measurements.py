@@ -245,15 +245,8 @@ def _offers(
     for row, reading in enumerate(statistic.model.readings):
         if reading.label in wrong:
             of_beam = {KIND: reading.kind} if reading.of_beam else {}
-            offers.append(
-                _Offer(
-                    REPEAT,
-                    f"reading {reading.label} once more",
-                    reading.sigma / reading.signal,
-                    {**of_beam, **reading.parameters},
-                    row=row,
-                )
-            )
+            words, sigma = f"reading {reading.label} once more", reading.sigma / reading.signal
+            offers.append(_Offer(REPEAT, words, sigma, {**of_beam, **reading.parameters}, row=row))
     for parameter in statistic.free:
         name, sigma = parameter.name, parameter.prior_sigma
         if parameter.prior is not None and sigma is not None:

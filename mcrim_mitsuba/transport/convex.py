@@ -271,11 +271,8 @@ class Ray:
         if axis not in self._known:
             reciprocal = dr.rcp(_component(self.direction, axis, weights))
             # from the reciprocal, so that a speed of zero of either sign is right as well
-            self._known[axis] = (
-                reciprocal,
-                _component(self.origin, axis, weights),
-                reciprocal > 0.0,
-            )
+            start, upwards = _component(self.origin, axis, weights), reciprocal > 0.0
+            self._known[axis] = reciprocal, start, upwards
         return self._known[axis]
 
 
