@@ -281,9 +281,8 @@ class DetectorTerms:
     @property
     def parts(self) -> dict[str, float]:
         """`relative_sigma` by its origins, which add up in quadrature."""
-        collection = self.collection_sigma / (self.collection or 1.0)
         return {
-            schema.COLLECTION: collection,
+            schema.COLLECTION: self.collection_sigma / (self.collection or 1.0),
             schema.CROSSTALK: self.cells_sigma,
             PHOTOELECTRON_SCALE: self.common.scale_sigma,
         }

@@ -142,8 +142,7 @@ def _notes_on(reduced: ReducedReading) -> Iterator[str]:
     for mounting in reduced.counted:
         for warning in mounting.peak.warnings if mounting.peak is not None else ():
             yield f"{mounting.file.name} ({label}): {warning}"
-    shapes = {m.peak.shape for m in reduced.mountings if m.row.use and m.peak is not None}
-    if len(shapes) > 1:
+    if len({m.peak.shape for m in reduced.mountings if m.row.use and m.peak is not None}) > 1:
         yield (
             f"the peaks of {label} were fitted with different shapes, which differ in their "
             "means: name one as shape in [histograms]"

@@ -182,13 +182,12 @@ def _collect_in_units(
             raise
         interrupted = True
     # of an earlier run's photons the time that they took then
-    seconds = so_far.seconds if so_far.cached_photons else time.perf_counter() - start
     return simulation.result(
         tally,
         photons,
         run.seed,
         run.precision,
-        seconds=seconds,
+        seconds=so_far.seconds if so_far.cached_photons else time.perf_counter() - start,
         path_name=so_far.path,
         interrupted=interrupted,
         max_depth=max_depth,

@@ -140,11 +140,10 @@ def eta_table(
     answers, work, notes = _answer_all(file, grid, run)
     in_order = [answers[key, p] for key in grid.configurations for p in grid.points]
     eta = np.array([answer.eta for answer in in_order]).reshape(grid.shape)
-    eta_sigma = np.array([answer.sigma for answer in in_order]).reshape(grid.shape)
     table = EtaTable(
         axes=grid.axes,
         eta=eta,
-        eta_sigma=eta_sigma,
+        eta_sigma=np.array([answer.sigma for answer in in_order]).reshape(grid.shape),
         attenuation=_attenuations(grid, eta, in_order),
         photons=sum(part.photons for part in work),
         cached_photons=sum(part.cached_photons for part in work),

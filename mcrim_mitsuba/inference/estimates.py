@@ -90,10 +90,9 @@ class NumberOffset:
 
         One that the campaign names always is.
         """
-        far = abs(self.offset) > BUDGETING.off * self.tolerance.sigma
         return (
             self.tolerance.given
-            or far
+            or abs(self.offset) > BUDGETING.off * self.tolerance.sigma
             or (self.of_scale or 0.0) > BUDGETING.matters * relative_sigma
         )
 

@@ -251,8 +251,7 @@ def _correlation(statistic: Statistic, further: Sequence[Mapping[str, Value]] = 
     light = [i for i, (_, of_beam) in enumerate(rows) if not of_beam]
     read = sum(i < len(readings) for i in light)
     squared_distance = np.zeros((len(light), len(light)))
-    names = {n for i in light[:read] for n in rows[i][0]}
-    for name in sorted(names):
+    for name in sorted({n for i in light[:read] for n in rows[i][0]}):
         places = _places(name, [rows[i][0].get(name, values.get(name)) for i in light], read)
         squared_distance += np.subtract.outer(places, places) ** 2
     correlation = np.eye(len(rows))

@@ -90,12 +90,11 @@ def plan_lanes(
     place = np.concatenate([(np.arange(count) + 0.5) / count for count in units])
     order = np.argsort(place, kind="stable")
     proposal = np.repeat(np.arange(len(units)), units)[order]
-    rank = np.concatenate([np.arange(count) for count in units])[order]
     return LanePlan(
         photons=base + (lane < extra).astype(np.int64),
         batch=lane % batches,
         proposal=proposal[unit],
-        rank=rank[unit],
+        rank=np.concatenate([np.arange(count) for count in units])[order][unit],
         stride=np.asarray(units, dtype=np.int64)[proposal[unit]],
     )
 
