@@ -121,13 +121,8 @@ def masks_of(model: SceneModel, plane: DetectorPlane) -> tuple[tuple[float, floa
     """Holes of masks over a horizontal detector: x, y of the centre and radius, mm; no others."""
     if abs(plane.normal[2]) < 1.0 - 1e-6:
         return ()
-    holes = {
-        (*s.axis_mm, s.aperture_radius_mm)
-        for s in model.surfaces
-        if np.isfinite(s.aperture_radius_mm)
-    }
-    masks = []
-    for x, y, radius in sorted(holes):
+    masked, masks = [s for s in model.surfaces if np.isfinite(s.aperture_radius_mm)], []
+    for x, y, radius in sorted({(*s.axis_mm, s.aperture_radius_mm) for s in masked}):
         across, up = plane.coordinates([[x, y, plane.centre[2]]])[0]
         masks.append((float(across), float(up), radius))
     return tuple(masks)
@@ -150,9 +145,8 @@ def largest_angle_deg(model: SceneModel, interfaces, plane: DetectorPlane) -> fl
             ratios.append(face.n_exterior / face.n_interior)
         elif surface.exterior in glass and surface.interior not in glass:
             ratios.append(face.n_interior / face.n_exterior)
-    if not ratios or max(ratios) >= 1.0:
-        return None
-    return float(np.degrees(np.arcsin(max(ratios))))
+    largest = max(ratios, default=1.0)
+    return None if largest >= 1.0 else float(np.degrees(np.arcsin(largest)))
 
 
 def arrivals(

@@ -59,11 +59,8 @@ def problems_of_scene(
 ) -> list[SceneProblem]:
     """What is wrong with a loaded scene, whether light finds the detector or not."""
     file, model = simulation.file, simulation.model
-    problems = [
-        *problems_of_media(file, model.volumes),
-        *problems_of_crystal(simulation),
-        *problems_of_contacts(file, model),
-    ]
+    problems = problems_of_media(file, model.volumes) + problems_of_crystal(simulation)
+    problems += problems_of_contacts(file, model)
     if problems:
         return problems
     faces = interfaces or interfaces_of(file, model)

@@ -207,9 +207,8 @@ class FilmTrips:
         if self._round:
             assert crystal.circle is not None
             outer = replace(crystal.circle, radius_mm=crystal.circle.radius_mm + film.distance_mm)
-            self._discs = [
-                Disc(of, lambda value: opaque([value])) for of in (crystal.circle, outer)
-            ]
+            circles = crystal.circle, outer
+            self._discs = [Disc(of, lambda value: opaque([value])) for of in circles]
         self._distance = opaque([film.distance_mm])
         self._reflectance = opaque([film.surface.reflectance])
         self._mirrored = opaque([film.surface.reflectance * film.surface.mirror_part])

@@ -183,9 +183,8 @@ class RecordStore:
         self._head_on = emitter.model.head_on
         # Only the first table is read where nothing was written: its weight says so.
         self.tables = [dr.zeros(mi.Float, 4 * photons)]
-        self.tables += [
-            dr.empty(mi.Float, 4 * photons) for _ in range((len(self._columns) - 1) // 4)
-        ]
+        further = range((len(self._columns) - 1) // 4)
+        self.tables += [dr.empty(mi.Float, 4 * photons) for _ in further]
 
     def nothing(self, lanes: int = 1) -> dict[str, Any]:
         """The history of a photon at birth: UInt32 or Float, by column."""
@@ -204,10 +203,8 @@ class RecordStore:
                 continue
             if name == MASK_RADIUS:
                 grown[name] = dr.maximum(grown[name], dr.select(step.at_surface, more, 0.0))
-            elif column.counts:
-                grown[name] = grown[name] + mi.UInt32(more)
             else:
-                grown[name] = grown[name] + more
+                grown[name] = grown[name] + (mi.UInt32(more) if column.counts else more)
         return grown
 
     def put(self, slot, detected, step: Step, history: dict[str, Any], birth) -> None:

@@ -331,12 +331,7 @@ class SceneModel:
     def geometry(self) -> Hashable:
         """Where its faces and walls are and what they part; equal for models that agree in it."""
         faces = tuple(
-            (
-                *(v.tobytes() for v in (f.corner, f.edge_u, f.edge_v)),
-                f.triangle,
-                f.surface,
-                f.circle,
-            )
+            (np.array([f.corner, f.edge_u, f.edge_v]).tobytes(), f.triangle, f.surface, f.circle)
             for f in self.flat_faces
         )
         sides = tuple(surface.sides for surface in self.surfaces)
@@ -356,12 +351,10 @@ class SceneModel:
         assert self.endless is not None
         other = {OUTSIDE: self.endless, self.endless: OUTSIDE}
         inner, outer = (other.get(side, side) for side in surface.sides)
-        ratio = self._endless_index ** (
-            (surface.interior == OUTSIDE)
-            + (surface.exterior == self.endless)
-            - (surface.interior == self.endless)
-            - (surface.exterior == OUTSIDE)
-        )
+        # an interface's eta is the index of its interior over that of its exterior
+        power = {OUTSIDE: 1, self.endless: -1}
+        of_inner, of_outer = (power.get(side, 0) for side in surface.sides)
+        ratio = self._endless_index ** (of_inner - of_outer)
         eta = surface.eta * ratio if surface.kind == DIELECTRIC else surface.eta
         return replace(surface, interior=inner, exterior=outer, eta=eta)
 

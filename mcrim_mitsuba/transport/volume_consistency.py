@@ -398,10 +398,8 @@ class _Judge:
             if not first.max() < last.min():
                 continue
             met = crossings.distance[line][of_volume[line]]
-            for distance, axis in (
-                (first.max(), int(first.argmax())),
-                (last.min(), int(last.argmin())),
-            ):
+            ends = (first.max(), int(first.argmax())), (last.min(), int(last.argmin()))
+            for distance, axis in ends:
                 if not (np.abs(met - distance) < 1e-3 * size).any():
                     high = abs((o + distance * d)[axis] - upper[axis]) < 1e-6 * size
                     sides[axis, bool(high)] += 1

@@ -178,12 +178,7 @@ class Photodetector(mi.BSDF):
         return mi.depolarizer(mi.UnpolarizedSpectrum(self.reflectance))
 
     traverse, to_string = described(
-        "reflectance",
-        "specular",
-        "cathode_nm",
-        "angular_falloff",
-        "radial_falloff",
-        "acceptance_deg",
+        "reflectance specular cathode_nm angular_falloff radial_falloff acceptance_deg"
     )
 
 
@@ -243,13 +238,7 @@ class Polish(mi.BSDF):
         return self.smooth.pdf(ctx, si, wo, active)
 
     traverse, to_string = described(
-        "int_ior",
-        "ext_ior",
-        "roughness_alpha",
-        "surface_loss",
-        "ground_loss",
-        "rms_roughness_nm",
-        "wavelength_nm",
+        "int_ior ext_ior roughness_alpha surface_loss ground_loss rms_roughness_nm wavelength_nm"
     )
 
 

@@ -220,7 +220,7 @@ class ScintillationEmitter(mi.Emitter):
         return mi.ScalarBoundingBox3f()
 
     traverse, to_string = described(
-        "source_depth_mm", "side_depth_mm", "source_z_mm", "source_width_mm", "source_across_mm"
+        "source_depth_mm side_depth_mm source_z_mm source_width_mm source_across_mm"
     )
 
 
@@ -249,7 +249,7 @@ class CollimatedBeamEmitter(ScintillationEmitter):
         number, axis = model.volume_index(self.medium), BEAM_AXES.index(self.axis)
         return CollimatedBeam(model, number, axis, self.diameter_mm)
 
-    traverse, to_string = described("axis", "diameter_mm")
+    traverse, to_string = described("axis diameter_mm")
 
 
 mi.register_emitter("collimated_beam", CollimatedBeamEmitter)
@@ -361,7 +361,7 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
     def aov_names(self) -> list[str]:
         return []
 
-    traverse, to_string = described("max_depth", "polarization", "detector")
+    traverse, to_string = described("max_depth polarization detector")
 
 
 mi.register_integrator("light_collection", LightCollectionIntegrator)
