@@ -340,18 +340,11 @@ def _record(
     for bench in benches:
         scenes.setdefault(bench.recorded.content_hash, bench)
         cuts.setdefault(bench.recorded.content_hash, {})[bench.cut] = None
-    recorded = record_surfaces(
-        [
-            EtaRequest(
-                f"{bench.recorded_name}{words}",
-                bench.recorded,
-                points,
-                run,
-                cuts=tuple(cuts[scene]),
-            )
-            for scene, bench in scenes.items()
-        ]
-    )
+    requests = []
+    for scene, bench in scenes.items():
+        name, its_cuts = f"{bench.recorded_name}{words}", tuple(cuts[scene])
+        requests.append(EtaRequest(name, bench.recorded, points, run, cuts=its_cuts))
+    recorded = record_surfaces(requests)
     runs = [behind for _, behind in recorded]
     surfaces = {
         (scene, cut): surface

@@ -171,14 +171,10 @@ class FateTally:
     @property
     def by_detector(self) -> dict[str, tuple[float, float]]:
         """Eta of each of several detectors, and its standard error."""
-        return {
-            name.removeprefix(_BY_DETECTOR): (
-                self.fraction(name) / self.head_on,
-                self.sigma(name) / self.head_on,
-            )
-            for name in self.sums
-            if name.startswith(_BY_DETECTOR)
+        etas = {
+            n: (self.fraction(n) / self.head_on, self.sigma(n) / self.head_on) for n in self.sums
         }
+        return {n.removeprefix(_BY_DETECTOR): etas[n] for n in etas if n.startswith(_BY_DETECTOR)}
 
     @property
     def eta(self) -> float:

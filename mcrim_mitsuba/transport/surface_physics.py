@@ -333,22 +333,14 @@ def _at_interface(light: Encounter, rng, active):
     row, facing, cosine = light.row, light.facing, light.cosine
     # n_i / n_t along the direction of travel
     ratio = dr.select(light.leaving, row.eta, dr.rcp(row.eta))
-    way = dielectric.split(light.direction, light.field, facing, ratio, cosine, light.choice)
+    flight = light.direction, light.field, facing, ratio
+    way = dielectric.split(*flight, cosine, light.choice)
     hazy = active & (row.kind == DIELECTRIC)
     haze = None if row.haze is None else row.haze * dr.select(light.leaving, 1.0, dr.rcp(row.eta))
     if row.roughness is not None:
         rough = hazy & (row.roughness != 0.0)
         way = dielectric.walk_facets(
-            way,
-            rough,
-            light.direction,
-            light.field,
-            facing,
-            ratio,
-            row.roughness,
-            haze,
-            rng,
-            beckmann=row.beckmann,
+            way, rough, *flight, row.roughness, haze, rng, beckmann=row.beckmann
         )
         hazy &= ~rough
     if haze is not None:
