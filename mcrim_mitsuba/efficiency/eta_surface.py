@@ -71,10 +71,8 @@ class EtaSurface:
     @classmethod
     def of(cls, grid: Grid, *records: PhotonRecords) -> EtaSurface:
         """The surface of one or more launches' records of one configuration."""
-        tables = [
-            GridReweighter(launch, grid, batches=launch.batches).table() for launch in records
-        ]
-        return cls(grid, merged(tables, [launch.photons for launch in records]))
+        parts = [GridReweighter(launch, grid, batches=launch.batches).table() for launch in records]
+        return cls(grid, merged(parts, [launch.photons for launch in records]))
 
     def evaluate(
         self,
@@ -254,18 +252,17 @@ class EtaRun:
         self.cached_photons = 0
         #: Largest relative error of the points that can be answered; 0 where that is enough.
         self.worst = math.inf
-        self._cache = executors.current_executor().cache(
-            {
-                "what": "eta on a grid",
-                "scene": request.scene.content_hash,
-                "seed": run.seed,
-                "proposals": dataclasses.asdict(self._proposals),
-                "grid": dataclasses.asdict(self._grid),
-                "cuts": request.cuts,
-                "versions": record_versions(run.variant, __name__),
-                "layout": _LAYOUT,
-            }
-        )
+        key = {
+            "what": "eta on a grid",
+            "scene": request.scene.content_hash,
+            "seed": run.seed,
+            "proposals": dataclasses.asdict(self._proposals),
+            "grid": dataclasses.asdict(self._grid),
+            "cuts": request.cuts,
+            "versions": record_versions(run.variant, __name__),
+            "layout": _LAYOUT,
+        }
+        self._cache = executors.current_executor().cache(key)
 
     @property
     def photons(self) -> int:

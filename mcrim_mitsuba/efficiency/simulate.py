@@ -153,16 +153,15 @@ def _collect_in_units(
     remember(simulation)
     executor, launcher = current_executor(), simulation.launcher()
     size = launcher.size
-    cache = executor.cache(
-        {
-            "what": "tallies",
-            "scene": simulation.file.content_hash,
-            "seed": run.seed,
-            "max_depth": max_depth,
-            "versions": record_versions(simulation.variant, __name__),
-            "layout": _LAYOUT,
-        }
-    )
+    key = {
+        "what": "tallies",
+        "scene": simulation.file.content_hash,
+        "seed": run.seed,
+        "max_depth": max_depth,
+        "versions": record_versions(simulation.variant, __name__),
+        "layout": _LAYOUT,
+    }
+    cache = executor.cache(key)
     block = functools.partial(
         TallyBlock, what, simulation.file, run.seed, simulation.variant, True, max_depth=max_depth
     )

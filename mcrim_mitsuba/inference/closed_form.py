@@ -465,12 +465,11 @@ class _Pairs:
 
     def in_single_precision(self) -> _Pairs:
         """The same numbers in float32."""
-        return _Pairs(
-            **{
-                name: values.astype(np.float32) if values.dtype == np.float64 else values
-                for name, values in vars(self).items()
-            }
-        )
+        numbers = {
+            name: values.astype(np.float32) if values.dtype == np.float64 else values
+            for name, values in vars(self).items()
+        }
+        return _Pairs(**numbers)
 
     def members(self, owner: Indices) -> Indices:
         """(pairs, 3) causes, the third of which is none."""

@@ -412,9 +412,8 @@ def _cloud(
         variance += share * proposals.noise(effects, np.median(points, axis=0), rows) ** 2
         if each.amplitude:  # something without a name
             fit = judgement.explanations.fit(effects)
-            predicted = predicted * np.exp(
-                discrepancy_at(fit, discrepancy, each.amplitude, points, configurations)
-            )
+            added = discrepancy_at(fit, discrepancy, each.amplitude, points, configurations)
+            predicted = predicted * np.exp(added)
         of.append(np.full(len(points), names.index(group_of[each.name])))
         weights.append(np.full(len(points), share / len(points)))
         free = tuple(each.evidence.mean)

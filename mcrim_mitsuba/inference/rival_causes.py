@@ -116,17 +116,16 @@ def wrong_readings(frame: BaselineFrame, suspicions: Mapping[str, WrongRows]) ->
             origins, slopes = slopes, origins
             log_scales, log_scale_slopes = log_scale_slopes, log_scales
         odds = RIVALS.bad_odds if lone else RIVALS.swapped_odds
-        causes.append(
-            Cause(
-                name=name,
-                log_odds=math.log(odds / ways.get(wrong.kind, kinds[wrong.kind])),
-                log_weights=np.full(len(sizes), -math.log(len(sizes))),
-                origins=origins,
-                slopes=slopes,
-                log_scales=log_scales,
-                log_scale_slopes=log_scale_slopes,
-            )
+        cause = Cause(
+            name=name,
+            log_odds=math.log(odds / ways.get(wrong.kind, kinds[wrong.kind])),
+            log_weights=np.full(len(sizes), -math.log(len(sizes))),
+            origins=origins,
+            slopes=slopes,
+            log_scales=log_scales,
+            log_scale_slopes=log_scale_slopes,
         )
+        causes.append(cause)
     return causes
 
 

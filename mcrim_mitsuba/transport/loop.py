@@ -352,27 +352,9 @@ class Loop:
         if polarized:
             turn = dr.select(ended, self._lattice.coordinate(point, 5), turn)
             field = dr.select(fresh, unpolarised_field(scattered, dr.two_pi * turn), outcome.field)
-        history = self._write(
-            Step(
-                p,
-                survive,
-                inside,
-                a_a,
-                distance,
-                weighted,
-                position,
-                arriving,
-                folds,
-                scatters,
-                scattered,
-                dies,
-                at_surface,
-                outcome,
-                w,
-                fate,
-                ended,
-            )
-        )
+        flight = p, survive, inside, a_a, distance, weighted, position, arriving, folds
+        end = scatters, scattered, dies, at_surface, outcome, w, fate, ended
+        history = self._write(Step(*flight, *end))
         place = dr.select(at_surface, outcome.position, position)
         volume = dr.select(at_surface, outcome.volume, p.volume)
         face = path.face_of(met) if outcome.face is None else outcome.face

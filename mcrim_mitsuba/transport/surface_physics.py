@@ -88,13 +88,11 @@ class SurfaceTables:
         #: Whether a surface takes a choice and a random direction.
         self.may_scatter = "reflectance" in columns or "mask_reflectance" in columns
         # small integers are exact in single precision
-        rows = np.array(
-            [
-                (*normal, s.eta, s.kind, *s.sides, *(value(s) for value in columns.values()))
-                for normal, s in zip(normals, surfaces, strict=True)
-            ],
-            dtype=float,
-        )
+        numbers = [
+            (*normal, s.eta, s.kind, *s.sides, *(value(s) for value in columns.values()))
+            for normal, s in zip(normals, surfaces, strict=True)
+        ]
+        rows = np.array(numbers, dtype=float)
         rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % 4)))
         self._tables = [opaque(table.ravel()) for table in np.split(rows, rows.shape[1] // 4, 1)]
 
