@@ -289,24 +289,14 @@ class EtaRun:
         """Units that are missing to have so many photons at least, to be taken in this order."""
         of, run = self.request, self.request.run
         lacking = -(-photons // LANES) * LANES - self.photons
-        return [
-            executors.Job(
-                GridBlock(
-                    of.what,
-                    of.scene,
-                    run.seed,
-                    run.variant,
-                    number > 0 or not run.check,
-                    number,
-                    block,
-                    self._proposals,
-                    self._grid,
-                    of.cuts,
-                ),
-                self._cache,
-            )
-            for number, block in planned(lacking, self._launches, LARGEST_LAUNCH)
-        ]
+        bench = of.what, of.scene, run.seed, run.variant
+        asked = self._proposals, self._grid, of.cuts
+        jobs = []
+        for number, block in planned(lacking, self._launches, LARGEST_LAUNCH):
+            checked = number > 0 or not run.check
+            unit = GridBlock(*bench, checked, number, block, *asked)
+            jobs.append(executors.Job(unit, self._cache))
+        return jobs
 
     def take(self, done: executors.Finished) -> None:
         """Keep what a unit found."""

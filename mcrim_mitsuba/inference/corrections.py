@@ -174,15 +174,10 @@ def shifts(
     common = [name for name in before.names if name in after.names]
     first, second = ([side.names.index(name) for name in common] for side in (before, after))
     sigmas = spread(after.batches[:, second] - before.batches[:, first])
-    return {
-        name: Shift(
-            float(before.values[i]),
-            float(after.values[j]),
-            float(sigma),
-            (size_sigmas or {}).get(name, 0.0),
-        )
-        for name, i, j, sigma in zip(common, first, second, sigmas, strict=True)
-    }
+    ends = before.values[first].tolist(), after.values[second].tolist()
+    numbers = zip(common, *ends, sigmas.tolist(), strict=True)
+    sizes = size_sigmas or {}
+    return {n: Shift(old, new, sigma, sizes.get(n, 0.0)) for n, old, new, sigma in numbers}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -170,15 +170,10 @@ class Weighing:
         factor_68, factor_95 = self.widening
         # all that the efficiency does is common to all hypotheses, and is not widened
         factors = factor_95, factor_68, 1.0, factor_68, factor_95
-        ends = [
-            rehearsal.quantile(
-                self.shares,
-                middle + factor * (means - middle),
-                np.hypot(factor * sigmas, efficiency),
-                part,
-            )
-            for part, factor in zip(rehearsal.QUANTILES, factors, strict=True)
-        ]
+        ends = []
+        for part, factor in zip(rehearsal.QUANTILES, factors, strict=True):
+            wider = middle + factor * (means - middle), np.hypot(factor * sigmas, efficiency)
+            ends.append(rehearsal.quantile(self.shares, *wider, part))
         lower_95, lower, value, upper, upper_95 = (known.per_scale * scale * np.exp(ends)).tolist()
         # parts as those of the variance, but no part is farther away than 95 % of all
         reach = max(ends[4] - ends[2], ends[2] - ends[0])

@@ -109,19 +109,13 @@ def _find_convex_solids(model: SceneModel) -> list[Solid]:
     }
     clinging = hollow - {OUTSIDE}
     while True:
-        around = {
-            number: {
-                side
-                for surface in (
-                    *(model.flat_faces[face].surface for plane in planes for face in plane.faces),
-                    *(model.walls[wall].surface for wall in round_walls.get(number, ())),
-                )
-                for side in model.surfaces[surface].sides
-                # no light comes back from a liquid without end
-                if side not in enclosed and side != model.endless
-            }
-            for number, planes in enclosed.items()
-        }
+        around = {}
+        for number, planes in enclosed.items():
+            surfaces = [model.flat_faces[face].surface for plane in planes for face in plane.faces]
+            surfaces += [model.walls[wall].surface for wall in round_walls.get(number, ())]
+            sides = {side for surface in surfaces for side in model.surfaces[surface].sides}
+            # no light comes back from a liquid without end
+            around[number] = sides - enclosed.keys() - {model.endless}
         several = [number for number, others in around.items() if len(others - clinging) > 1]
         if not several:
             break

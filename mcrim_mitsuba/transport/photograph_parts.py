@@ -154,11 +154,9 @@ def edges(shapes: Iterable[Triangles], radius: float) -> Triangles:
     places = (places - places.min(axis=0)) @ (10**12, 10**6, 1)
     _, place = np.unique(places, return_inverse=True)
     ends = np.sort(place.reshape(-1, 2), axis=1)
+    pairs = ends[:, 0] * len(places) + ends[:, 1]
     _, first, edge, sharing = np.unique(
-        ends[:, 0] * len(places) + ends[:, 1],
-        return_index=True,
-        return_inverse=True,
-        return_counts=True,
+        pairs, return_index=True, return_inverse=True, return_counts=True
     )
     lowest = np.ones(len(first))
     np.minimum.at(lowest, edge, np.einsum("ij,ij->i", of_side[first[edge]], of_side))
