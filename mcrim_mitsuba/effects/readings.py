@@ -17,7 +17,7 @@ def reading_background(signals: np.ndarray, value: float, rows: Rows) -> Predict
 
 
 def beside_background(part: float, signals: np.ndarray) -> tuple[float, float]:
-    """Up to a part of the weakest signal: more than a tenth had been seen with the crystal out.
+    """Up to a part of the weakest signal; more than a tenth is seen with the crystal out.
 
     What is subtracted too much or too little is less than the weakest signal itself.
     """

@@ -171,10 +171,9 @@ class FateTally:
     @property
     def by_detector(self) -> dict[str, tuple[float, float]]:
         """Eta of each of several detectors, and its standard error."""
-        etas = {
-            n: (self.fraction(n) / self.head_on, self.sigma(n) / self.head_on) for n in self.sums
-        }
-        return {n.removeprefix(_BY_DETECTOR): etas[n] for n in etas if n.startswith(_BY_DETECTOR)}
+        names = (n for n in self.sums if n.startswith(_BY_DETECTOR))
+        etas = {n: (self.fraction(n) / self.head_on, self.sigma(n) / self.head_on) for n in names}
+        return {name.removeprefix(_BY_DETECTOR): eta for name, eta in etas.items()}
 
     @property
     def eta(self) -> float:
