@@ -63,8 +63,9 @@ _LEAST_GAIN = 4.0
 #: For losses it reaches so much of that; larger ones are told in digits.
 _LOSSES = 0.6
 #: Of a candidate, columns of the CSV.
-_STATISTICS = "delta_chi2 delta_chi2_sigma chi2 ndf p_value p_gain p_global behind aicc "
-_STATISTICS += "left_out_error"
+_STATISTICS = (
+    "delta_chi2 delta_chi2_sigma chi2 ndf p_value p_gain p_global behind aicc left_out_error"
+)
 
 
 def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
