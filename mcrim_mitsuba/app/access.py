@@ -131,8 +131,7 @@ def _refusal_of_form(environ: WSGIEnvironment) -> Response | None:
         answer = _refuse(HTTPStatus.METHOD_NOT_ALLOWED, "this page takes GET and POST only")
         answer.headers["Allow"] = "GET, POST"
         return answer
-    media_type = environ.get("CONTENT_TYPE", "").partition(";")[0].strip().lower()
-    if media_type != "application/json":
+    if environ.get("CONTENT_TYPE", "").partition(";")[0].strip().lower() != "application/json":
         return _refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "this page takes JSON only")
     length = environ.get("CONTENT_LENGTH", "")
     if not _LENGTH.fullmatch(length) or "HTTP_TRANSFER_ENCODING" in environ:

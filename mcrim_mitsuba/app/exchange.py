@@ -15,15 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.app.state import MALFORMED, State, settings_of
+from mcrim_mitsuba.campaign import editor
 from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
-from mcrim_mitsuba.campaign.editor import (
-    campaign_with_effects,
-    campaign_with_measurements,
-    measurement_cells,
-    measurements_text,
-    table_text,
-    write_plain,
-)
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError, placed
@@ -76,7 +69,7 @@ def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -
     place = Path(tempfile.mkdtemp(dir=folder))
     readings, target = place / safe_name(name, ".csv"), place / safe_name(campaign.path.name, "")
     write_bytes(readings, content)
-    write_text(target, campaign_with_measurements(campaign, target, readings))
+    write_text(target, editor.campaign_with_measurements(campaign, target, readings))
     try:
         return read_campaign(target)
     except InputError as error:
@@ -100,7 +93,7 @@ def with_table(campaign: Campaign, table: str, folder: Path) -> Campaign:
 
     Raises InputError if it cannot be used.
     """
-    if table == measurements_text(campaign.measurements):
+    if table == editor.measurements_text(campaign.measurements):
         return campaign
     return with_readings(campaign, campaign.measurements.path.name, table.encode(), folder)
 
@@ -156,13 +149,14 @@ def _cells(campaign: Campaign) -> dict[str, list[str]]:
     measurements = campaign.measurements
     usual = {"use": "1", KIND: LIGHT}
     every = {name: [cell] * len(measurements.readings) for name, cell in usual.items()}
-    return every | measurement_cells(measurements)
+    return every | editor.measurement_cells(measurements)
 
 
 def _with_cells(campaign: Campaign, cells: Mapping[str, list[str]], folder: Path) -> Campaign:
     """The campaign with other cells; the refusal stands beside the cell, and tells no line."""
     with placed():
-        return with_table(campaign, table_text(campaign.measurements.comments, cells), folder)
+        table = editor.table_text(campaign.measurements.comments, cells)
+        return with_table(campaign, table, folder)
 
 
 def scene_file(
@@ -192,7 +186,7 @@ def campaign_archive(
     with tempfile.TemporaryDirectory() as name:
         if campaign.raw is not None:
             plain = Path(name) / safe_name(campaign.path.name, ".toml")
-            write_plain(campaign, plain)
+            editor.write_plain(campaign, plain)
             campaign = read_campaign(plain)
         folder = Path(name) / stem
         folder.mkdir()
@@ -200,7 +194,7 @@ def campaign_archive(
         sizes |= {p.name: values[p.name] for e in effects for p in campaign.catalogue[e].parameters}
         mended = _copied(campaign, folder).with_effects(effects).with_priors(priors or {})
         target, scene_path = folder / f"{stem}.toml", folder / f"{stem}.xml"
-        text = campaign_with_effects(mended, target, scene_path, sizes, chosen)
+        text = editor.campaign_with_effects(mended, target, scene_path, sizes, chosen)
         for path, content in ((scene_path, scene_text(scene)), (target, text)):
             path.write_text(content, encoding="utf-8", newline="")
         itself, root = scene.path.resolve(), scene.path.parent.resolve()
@@ -216,7 +210,7 @@ def _copied(campaign: Campaign, folder: Path) -> Campaign:
     """A campaign whose files were copied to a folder, the readings as the page has them."""
     table, light = campaign.measurements, campaign.spectrum
     copy = folder / safe_name(table.path.name, ".csv")
-    write_text(copy, measurements_text(table))
+    write_text(copy, editor.measurements_text(table))
     moved: dict[str, Any] = {"measurements": replace(table, path=copy)}
     if light is not None:
         copy = folder / safe_name(light.path.name, ".csv")
@@ -251,7 +245,7 @@ def session_file(state: State) -> tuple[str, bytes]:
     """Name and content of a file with readings, controls and the list of fits."""
 
     def readings(campaign: Campaign) -> str:
-        return measurements_text(campaign.measurements)
+        return editor.measurements_text(campaign.measurements)
 
     # as it came
     campaign = state.steps[0].campaign if state.steps else state.campaign

@@ -213,8 +213,7 @@ def _signals_alone() -> float:
 
 def table_2_rows() -> Iterator[ArticleRow]:
     """Table 2 and the correction of reference [13]."""
-    for number, what in p.TABLE_2:
-        yield compare(what, number, None)
+    yield from (compare(what, number, None) for number, what in p.TABLE_2)
     for quantity, paper, eta in (
         ("[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, p.KIM_ASSUMED_ETA),
         ("[13] corrected: 3.5/(0.56 x 0.80)", p.KIM_CORRECTED, p.WRAPPED_ETA),

@@ -203,9 +203,8 @@ def sentences(contradiction: Contradiction) -> tuple[str, ...]:
         ranking.append(f"one more measurement would tell most at {best.words}{separated}")
     return (
         f"the fitted {p.ALPHA_SCAT.value:g} and {p.NOMINAL.alpha_abs_per_cm.text} /cm predict a "
-        f"transmittance of {100 * _predicted():.0f} %, or "
-        f"{100 * contradiction.etas['sphere']:.0f} % into a sphere, where "
-        f"{p.MEASURED_TRANSMITTANCE.text} % was measured: that is decisive",
+        f"transmittance of {100 * _predicted():.0f} %, or {100 * contradiction.etas['sphere']:.0f} "
+        f"% into a sphere, where {p.MEASURED_TRANSMITTANCE.text} % was measured: that is decisive",
         f"what the transmittance allows, {scat:.2g} /cm of scattering and {absorption:.2g} /cm of "
         f"absorption, misses the two signals by {_as_pull(baseline)} (by "
         f"{_as_pull(contradiction.ignorant)}, were light unpolarised and born everywhere): that "

@@ -69,8 +69,7 @@ def position_of_maximum(points: Sequence[Quantities], place: int) -> tuple[float
     Raises ValueError if the cubic has no maximum between the outermost points.
     """
     x = np.log(PEAK_POINTS_PER_CM)
-    powers = np.vander(x, _PEAK_DEGREE + 1, increasing=True)
-    solve = np.linalg.pinv(powers)
+    solve = np.linalg.pinv(np.vander(x, _PEAK_DEGREE + 1, increasing=True))
     curve = np.polynomial.Polynomial(solve @ [point.values[place] for point in points])
     slope, bend = curve.deriv(), curve.deriv(2)
     inside = [
@@ -139,8 +138,7 @@ def bench_rows(simulated: Simulated, photons: int) -> Iterator[ArticleRow]:
         ("alpha_abs of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_ABS, cawo4[ALPHA_ABS]),
         ("alpha_scat of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_SCAT, cawo4[ALPHA_SCAT]),
     )
-    for what, number, ours in stated:
-        yield compare(what, number, float(ours))
+    yield from (compare(what, number, float(ours)) for what, number, ours in stated)
     what, remark = "source smaller than", "ours fills the crystal: there is no surface to keep off"
     yield compare(f"{what} the crystal by", p.SOURCE_MARGIN_MM, 0.0, judged=False, remark=remark)
     of_rays = f"{100 * article_monte_carlo_sigma(0.25):.2f} % (of all light)"

@@ -135,16 +135,14 @@ def _rows(
 def document_of(result: ArticleResult, figures: Iterable[Path]) -> dict[str, Any]:
     """What ``--json`` writes."""
     errors = "statistical=statistical_sigma systematic=systematic_sigma"
+    weighed = attributes(result.contradiction.diagnosis, "probabilities light_yield_averaged")
     return {
         "rows": result.rows,
         "verdict_rule": RULE,
         "monte_carlo_errors": MONTE_CARLO,
         **attributes(result, "agreement inconsistencies open_points"),
         "light_yield_ph_per_keV": attributes(result.yields.fitted, f"value {errors}"),
-        "transmittance": {
-            "sentences": contradiction.sentences(result.contradiction),
-            **attributes(result.contradiction.diagnosis, "probabilities light_yield_averaged"),
-        },
+        "transmittance": {"sentences": contradiction.sentences(result.contradiction), **weighed},
         "figures": figures,
         **attributes(result, "photons seed seconds versions scene_hashes"),
     }
@@ -166,9 +164,8 @@ def described(result: ArticleResult, folder: str) -> Description:
         "The article leaves open, or we find otherwise:": result.open_points,
     }
     light_yield = (
-        f"Light yield of CaMoO4: {fitted.value:.2f} ± {fitted.statistical_sigma:.2f} "
-        f"(statistical) ± {fitted.systematic_sigma:.2f} (systematic) ph/keV; the article: "
-        "7.5 ± 1.2."
+        f"Light yield of CaMoO4: {fitted.value:.2f} ± {fitted.statistical_sigma:.2f} (statistical) "
+        f"± {fitted.systematic_sigma:.2f} (systematic) ph/keV; the article: 7.5 ± 1.2."
     )
     parts = (
         Sentence(f"Verdicts. {RULE}"),

@@ -257,8 +257,7 @@ class SimulatedLine:
     def eta_sigmas(self) -> tuple[Array, Array]:
         """(2,) errors of the efficiencies: from the signals' ratio, and Monte Carlo."""
         _, monte_carlo, slopes = self._fitted
-        of_ratio = self.alpha_scat.contributions["statistical"]
-        return np.abs(slopes[:2]) * of_ratio, monte_carlo[:2]
+        return np.abs(slopes[:2]) * self.alpha_scat.contributions["statistical"], monte_carlo[:2]
 
     @property
     def ratio_slope_cm(self) -> float:

@@ -110,13 +110,9 @@ def yield_rows(yields: LightYields) -> Iterator[ArticleRow]:
     fitted = yields.fitted
     counts = fitted.statistical_sigma / fitted.value
     reflected = float(reflectance(1.0, 1.0, p.N_WINDOW.value))
-    for name, ours, paper, eta in zip(
-        ("Y1 (air)", "Y2 (gel)"),
-        yields.at_article_point,
-        (p.YIELD_AIR, p.YIELD_GEL),
-        p.NOMINAL.etas_percent,
-        strict=True,
-    ):
+    names, printed = ("Y1 (air)", "Y2 (gel)"), (p.YIELD_AIR, p.YIELD_GEL)
+    pairs = zip(names, yields.at_article_point, printed, p.NOMINAL.etas_percent, strict=True)
+    for name, ours, paper, eta in pairs:
         # the article's Y has the rounding of its own eta
         what, rounding = f"{name}, our eta at (0.039, 0.54) /cm", eta.rounding / eta.value
         yield compare(what, paper, ours, difference_sigma=0.0, rounding=ours.value * rounding)

@@ -465,8 +465,7 @@ def _read_beam(
                 what = f"{name} = {value_text(value)} of a transmittance"
                 problem = f"{what}, which is measured in air without the bench"
                 raise measurements.refusal(reading, name, problem, "empty the cell")
-        values = {**scene.parameters, **beam, **reading.parameters}
-        if (wrong := too_wide(values)) is None:
+        if (wrong := too_wide({**scene.parameters, **beam, **reading.parameters})) is None:
             continue
         if BEAM_DIAMETER in given and not reading.parameters:
             raise table.refusal(BEAM_DIAMETER, *wrong)
@@ -607,10 +606,8 @@ def _wrong_next(name: str, values: Any, campaign: Campaign) -> tuple[str, str] |
         return None
     if name not in present:
         numbers = [n for n, value in scene.parameters.items() if not isinstance(value, bool | str)]
-        return (
-            f"{name} is not a parameter of {scene.path.name}",
-            did_you_mean(name, [*numbers, COUNTED, schema.NEXT_SIGMA, schema.NEXT_MINUTES]),
-        )
+        possible = [*numbers, COUNTED, schema.NEXT_SIGMA, schema.NEXT_MINUTES]
+        return f"{name} is not a parameter of {scene.path.name}", did_you_mean(name, possible)
     if name == COUNTED and isinstance(values, list) and values:
         for value in values:
             for wrong_name in problems_of_counted(scene.with_overrides({COUNTED: str(value)})):

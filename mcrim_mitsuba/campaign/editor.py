@@ -357,12 +357,10 @@ def to_json(raw: RawData) -> dict[str, Any]:
     absorption: dict[str, Any] = {}
     if raw.absorption is not None:
         files = (curve.name for curve in raw.absorption.spectra)
+        pairs = zip_longest(files, raw.absorption.each_per_cm)
         absorption = {
             **attributes(raw.absorption, "alpha_abs_per_cm sigma contributions"),
-            "orientations": [
-                {"file": file, "alpha_abs_per_cm": alpha}
-                for file, alpha in zip_longest(files, raw.absorption.each_per_cm)
-            ],
+            "orientations": [{"file": file, "alpha_abs_per_cm": alpha} for file, alpha in pairs],
             **attributes(
                 raw.absorption,
                 "spread_orientations_per_cm spread_band_per_cm internal_transmittance "

@@ -421,12 +421,10 @@ def json_schema() -> dict[str, Any]:
             meaning = f"{parameter.meaning}; parameter of {effect.name}"
             raw = GAMMAS if parameter.name == SOURCE_DEPTH else {}
             parameters[parameter.name] = _table(meaning, PARAMETER, raw)
+    other = _table("A scene parameter, in its name's unit", PARAMETER)
     completed = {
         "effects": {"items": {"anyOf": [{"enum": list(effects)}, {"type": "string"}]}},
-        "parameters": {
-            "properties": parameters,
-            "additionalProperties": _table("A scene parameter, in its name's unit", PARAMETER),
-        },
+        "parameters": {"properties": parameters, "additionalProperties": other},
     }
     entries = {name: {**entry, **completed.get(name, {})} for name, entry in CAMPAIGN.items()}
     return {

@@ -281,9 +281,8 @@ class DetectorTerms:
     @property
     def parts(self) -> dict[str, float]:
         """`relative_sigma` by its origins, which add up in quadrature."""
-        collection = self.collection_sigma / (self.collection or 1.0)
         return {
-            schema.COLLECTION: collection,
+            schema.COLLECTION: self.collection_sigma / (self.collection or 1.0),
             schema.CROSSTALK: self.cells_sigma,
             PHOTOELECTRON_SCALE: self.common.scale_sigma,
         }
@@ -291,11 +290,8 @@ class DetectorTerms:
     @property
     def factor(self) -> float:
         """What is counted of light inside the window, over the efficiency that a campaign gives."""
-        return (
-            (self.collection or 1.0)
-            * (self.cells or 1.0)
-            / (1.0 - self.window_reflectance * self.in_air)
-        )
+        collection, cells = self.collection or 1.0, self.cells or 1.0
+        return collection * cells / (1.0 - self.window_reflectance * self.in_air)
 
     @property
     def notes(self) -> Iterator[str]:

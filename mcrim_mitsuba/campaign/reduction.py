@@ -142,8 +142,7 @@ def _notes_on(reduced: ReducedReading) -> Iterator[str]:
     for mounting in reduced.counted:
         for warning in mounting.peak.warnings if mounting.peak is not None else ():
             yield f"{mounting.file.name} ({label}): {warning}"
-    shapes = {m.peak.shape for m in reduced.mountings if m.row.use and m.peak is not None}
-    if len(shapes) > 1:
+    if len({m.peak.shape for m in reduced.mountings if m.row.use and m.peak is not None}) > 1:
         yield (
             f"the peaks of {label} were fitted with different shapes, which differ in their "
             "means: name one as shape in [histograms]"
@@ -218,8 +217,7 @@ def _sharing(readings: list[Reading], reduced: Mapping[str, ReducedReading]) -> 
     noises = np.array([reduced[readings[i].label].noise for i in places])
     covariance = noises @ noises.T if noises.size else np.zeros((0, 0))
     sizes = np.sqrt(np.diag(covariance))
-    others = np.abs(covariance) > _LEAST * np.outer(sizes, sizes)
-    sharing = others.sum(axis=1) > 1
+    sharing = (np.abs(covariance) > _LEAST * np.outer(sizes, sizes)).sum(axis=1) > 1
     for i in np.flatnonzero(~sharing & (sizes > 0.0)):
         alone = readings[places[i]]
         readings[places[i]] = replace(alone, sigma=math.hypot(alone.sigma, sizes[i]))

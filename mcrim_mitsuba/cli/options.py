@@ -23,14 +23,7 @@ from mcrim_mitsuba.core.files import sha256
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
 from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT, LARGEST_PRECISION, Parts, Run, processors
-from mcrim_mitsuba.runs.array_job import (
-    DEFAULT_FOLDER,
-    ArrayPart,
-    MergingExecutor,
-    PartDoneError,
-    PartExecutor,
-    UnitFolder,
-)
+from mcrim_mitsuba.runs import array_job
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.executors import Executor, current_executor, use_executor
 from mcrim_mitsuba.scene.scene_file import parse_define
@@ -427,7 +420,7 @@ class Work:
     #: Address of a Dask scheduler.
     cluster: str | None
     #: Of an array job.
-    part: ArrayPart | None
+    part: array_job.ArrayPart | None
     #: Folder of the array job.
     units: str
     #: File for the progress.
@@ -448,14 +441,14 @@ class Work:
             use_executor(executor),
         ):
             run = dataclasses.replace(self.run, progress=report)
-            if not isinstance(executor, PartExecutor):
+            if not isinstance(executor, array_job.PartExecutor):
                 yield run
                 return
             try:
                 yield run
                 # a part has no result, even where it finds all units made
                 raise executor.done
-            except PartDoneError:
+            except array_job.PartDoneError:
                 executor.finish()
                 raise
 
@@ -474,11 +467,11 @@ class Work:
                     terminal.console("-").say_notes([waiting])
                 yield executor
         elif self.part is not None:
-            folder = UnitFolder(self.units)
+            folder = array_job.UnitFolder(self.units)
             folder.begin(_command(), self.part)
-            yield PartExecutor(folder, self.part)
+            yield array_job.PartExecutor(folder, self.part)
         else:
-            if isinstance(merging := current_executor(), MergingExecutor):
+            if isinstance(merging := current_executor(), array_job.MergingExecutor):
                 merging.folder.refuse_other_files(_hashes())
             yield current_executor()
 
@@ -491,8 +484,8 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def with_work(*, cluster, unit, units, log, run, **given: Any) -> Any:
-        part = None if unit is None else ArrayPart.parse(unit)
-        if part is None and units != DEFAULT_FOLDER:
+        part = None if unit is None else array_job.ArrayPart.parse(unit)
+        if part is None and units != array_job.DEFAULT_FOLDER:
             problem = "--units without --unit: nobody shares this folder"
             raise InputError(problem, "give --unit K/N too")
         if log is not None and (log == "-" or Path(log).suffix.lower() in _NO_LOGS):
@@ -511,7 +504,7 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
     for decorate in (
         json_output,
         file("--log", "Append the progress, unit by unit, to this file."),
-        option("--units", Folder(), shared, default=DEFAULT_FOLDER),
+        option("--units", Folder(), shared, default=array_job.DEFAULT_FOLDER),
         option("--unit", "K/N", of_part),
         option("--cluster", "ADDRESS", of_cluster),
         run,
@@ -534,12 +527,8 @@ def _command() -> dict[str, Any]:
             skip = not skip
         elif word.partition("=")[0] not in own_options:
             arguments.append(word)
-    return {
-        "arguments": arguments,
-        "folder": os.getcwd(),
-        "versions": record_versions(variant, context.command.callback.__module__, *effects),
-        "files": _hashes(),
-    }
+    versions = record_versions(variant, context.command.callback.__module__, *effects)
+    return {"arguments": arguments, "folder": os.getcwd(), "versions": versions, "files": _hashes()}
 
 
 def _hashes() -> dict[str, str]:

@@ -64,9 +64,8 @@ def when_trusted(read: Callable[[bool], _Read], warning: str) -> _Read:
     """
     from mcrim_mitsuba.effects.trust import UntrustedEffectsError, trust
 
-    trusted = click.get_current_context().meta[options.TRUST]
     try:
-        return read(trusted)
+        return read(click.get_current_context().meta[options.TRUST])
     except UntrustedEffectsError as error:
         if not (sys.stdin.isatty() and sys.stderr.isatty()):
             raise

@@ -117,14 +117,9 @@ def read_data_table(
         _refuse_uncertain_commas(rows, names, path)
     words = (line for line in lines if line.kind in (COMMENTED, TEXT))
     comments = tuple(_bare(line.text) for line in words if line.number not in header)
+    numbers = np.array([row.number for row in rows])
     return DataTable(
-        path,
-        comments,
-        names,
-        units,
-        values=_numbers(rows, columns),
-        lines=np.array([row.number for row in rows]),
-        roles=roles,
+        path, comments, names, units, values=_numbers(rows, columns), lines=numbers, roles=roles
     )
 
 

@@ -127,11 +127,7 @@ def is_spoilt(cell: str) -> bool:
     if not cell or is_no_number(cell):
         return True
     cell = cell.strip('"')
-    return (
-        _SPOILT.match(cell) is not None
-        and not is_number(cell)
-        and _DATE_OR_TIME.fullmatch(cell) is None
-    )
+    return bool(_SPOILT.match(cell)) and not is_number(cell) and not _DATE_OR_TIME.fullmatch(cell)
 
 
 def split(text: str, separator: str) -> list[str]:

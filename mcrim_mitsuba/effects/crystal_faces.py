@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from mcrim_mitsuba.effects import scene_edits
 from mcrim_mitsuba.effects.effect import (
     Columns,
     Effect,
@@ -13,16 +14,6 @@ from mcrim_mitsuba.effects.effect import (
     Parameters,
     Values,
     one_parameter,
-)
-from mcrim_mitsuba.effects.scene_edits import (
-    WAVELENGTH,
-    crystal_box,
-    gap_sides,
-    make_panel,
-    polish_crystal,
-    roughen,
-    wavelength_of,
-    worn_towards_air,
 )
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -90,7 +81,7 @@ def one_side(side: str, *, ground: bool, look: str, physics: str) -> Effect:
         source=FACETS,
         parameters=facets_of(f"{name}_alpha", what, ground=ground),
         excludes=("surface_roughness", "ground", other),
-        edit=partial(roughen, side=side, alpha=f"{name}_alpha"),
+        edit=partial(scene_edits.roughen, side=side, alpha=f"{name}_alpha"),
     )
 
 
@@ -113,16 +104,16 @@ SURFACE_ROUGHNESS = Effect(
     source=FACETS,
     parameters=facets_of("roughness_alpha", "faces", ground=False, start=0.05, most=0.3),
     excludes=(*_ROUGH, "ground", *_GROUND),
-    edit=partial(polish_crystal, name="roughness_alpha", value="$roughness_alpha"),
+    edit=partial(scene_edits.polish_crystal, name="roughness_alpha", value="$roughness_alpha"),
 )
 
 
 def edit_surface_haze(editor: SceneEditor) -> None:
     """Give all faces of the crystal a fine roughness."""
-    wavelength = wavelength_of(editor)
-    polish_crystal(editor, "rms_roughness_nm", "$rms_roughness_nm")
+    wavelength = scene_edits.wavelength_of(editor)
+    scene_edits.polish_crystal(editor, "rms_roughness_nm", "$rms_roughness_nm")
     for bsdf in editor.crystal_polish:
-        editor.insert_last(bsdf, f'<float name="{WAVELENGTH}" value="{wavelength}"/>')
+        editor.insert_last(bsdf, f'<float name="{scene_edits.WAVELENGTH}" value="{wavelength}"/>')
 
 
 SURFACE_HAZE = Effect(
@@ -200,10 +191,9 @@ BOTTOM_ROUGHNESS = one_side(
         "mounting scratches it. Turn the crystal over and measure again."
     ),
     physics=(
-        "The face before the detector is scratched when crystals are mounted, turned "
-        "and wiped; where a gel covers it, its roughness is nearly matched. It is one "
-        "of facets with tilted normals (GGX, width alpha), as in surface_roughness, and "
-        "the other faces are polished."
+        "The face before the detector is scratched when crystals are mounted, turned and wiped; "
+        "where a gel covers it, its roughness is nearly matched. It is one of facets with tilted "
+        "normals (GGX, width alpha), as in surface_roughness, and the other faces are polished."
     ),
 )
 
@@ -225,7 +215,7 @@ GROUND = Effect(
     source=FACETS,
     parameters=facets_of("ground_alpha", "faces", ground=True),
     excludes=("surface_roughness", *_ROUGH, *_GROUND),
-    edit=partial(polish_crystal, name="roughness_alpha", value="$ground_alpha"),
+    edit=partial(scene_edits.polish_crystal, name="roughness_alpha", value="$ground_alpha"),
 )
 
 
@@ -281,7 +271,7 @@ def edit_loss(editor: SceneEditor, name: str) -> None:
             problem = f"the crystal is in front of {face.label}, not behind it"
             mend = "turn the face around: the loss acts on light that comes from behind"
             raise editor.refusal(problem, mend, face)
-    polish_crystal(editor, name, f"${name}")
+    scene_edits.polish_crystal(editor, name, f"${name}")
 
 
 def weight_loss(
@@ -373,18 +363,18 @@ def edit_edge_chamfer(editor: SceneEditor) -> None:
     for name in ("crystal_chamfers", "gap_top_rim"):
         editor.refuse_id(name)
     scene, leg_mm = editor.scene.parameters, editor.values["chamfer_mm"]
-    box = crystal_box(editor)
+    box = scene_edits.crystal_box(editor)
     smallest_mm = min(float(scene["crystal_width_mm"]), float(scene["crystal_height_mm"]))
     if not 2 * leg_mm < smallest_mm:
         problem = f"a chamfer of {leg_mm:g} mm leaves nothing of a crystal of {smallest_mm:g} mm"
         raise editor.refusal(problem, "twice the leg must stay below width and height")
     faces = [face for faces in box.values() for face in faces]
     outer = [face for name, faces in box.items() if name != "bottom" for face in faces]
-    crystal_to_air = worn_towards_air(editor, outer, "the crystal's other faces")
-    sides = gap_sides(editor)
-    gap_to_air = worn_towards_air(editor, sides, "the gap's sides")
+    crystal_to_air = scene_edits.worn_towards_air(editor, outer, "the crystal's other faces")
+    sides = scene_edits.gap_sides(editor)
+    gap_to_air = scene_edits.worn_towards_air(editor, sides, "the gap's sides")
     for face in faces:
-        make_panel(editor, face, _TRIM_EDGES)
+        scene_edits.make_panel(editor, face, _TRIM_EDGES)
     bubble = [part for name in ("cut", "index") if (part := sides[0].named(name)) is not None]
     rim = "".join(f"\n  {editor.source(part)}" for part in bubble)
     editor.insert_after(

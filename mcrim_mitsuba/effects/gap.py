@@ -6,22 +6,8 @@ import math
 
 import numpy as np
 
+from mcrim_mitsuba.effects import scene_edits
 from mcrim_mitsuba.effects.effect import Columns, Effect, Parameters, Values, filled, one_parameter
-from mcrim_mitsuba.effects.scene_edits import (
-    GAP,
-    INDEX_OF_PART,
-    WIDTH,
-    add_numbers,
-    change_gap_sides,
-    crystal_box,
-    element,
-    gap_sides,
-    part_gap,
-    polish,
-    refuse_without_box,
-    split_panel,
-    worn_towards_air,
-)
 from mcrim_mitsuba.scene.editor import INTERFACES, SceneEditor
 
 _OFFSETS = {"int_ior": "int_offset", "ext_ior": "ext_offset"}
@@ -37,7 +23,7 @@ def edit_gap_index(editor: SceneEditor) -> None:
         and bsdf.find(f"float[@name='{index}'][@value='$n_gap']") is not None
     ]
     for bsdf, offset in borders:
-        polish(editor, bsdf, offset, "$gap_index_offset")
+        scene_edits.polish(editor, bsdf, offset, "$gap_index_offset")
     if not borders:
         raise editor.refusal("no interface has the index $n_gap", "write n_gap as a parameter")
 
@@ -80,14 +66,14 @@ _DOWN = '<scale z="-1"/><translate z="$gap_offset_mm"/><scale z="-1"/>  <!-- dow
 
 def edit_gap_thickness(editor: SceneEditor) -> None:
     """Lower the window and all that belongs to it, and lengthen the gap's sides."""
-    refuse_without_box(editor)
-    change_gap_sides(editor, '<float name="thickness_offset" value="$gap_offset_mm"/>')
+    scene_edits.refuse_without_box(editor)
+    scene_edits.change_gap_sides(editor, '<float name="thickness_offset" value="$gap_offset_mm"/>')
     for shape in editor.shapes:
         if editor.window not in editor.media(shape):
             continue
         transform = shape.named("to_world")
         if transform is None:
-            editor.insert_first(shape, element('transform name="to_world"', [_DOWN]))
+            editor.insert_first(shape, scene_edits.element('transform name="to_world"', [_DOWN]))
         else:
             editor.insert_last(transform, _DOWN)
 
@@ -183,11 +169,11 @@ _CUT = '<float name="cut" value="$bubble_fraction"/>'
 
 def edit_bubble_strip(editor: SceneEditor) -> None:
     """Let air take a strip of the gap: faces around it are parted where the air begins."""
-    part_gap(editor, _CUT, liquid="beyond", air="before")
-    change_gap_sides(editor, f"{_CUT}\n{INDEX_OF_PART}")
+    scene_edits.part_gap(editor, _CUT, liquid="beyond", air="before")
+    scene_edits.change_gap_sides(editor, f"{_CUT}\n{scene_edits.INDEX_OF_PART}")
     for rim in editor.shapes:
         if rim.type == "frame" and editor.media(rim) == (editor.gap, None):
-            add_numbers(editor, rim, f"{_CUT}\n{INDEX_OF_PART}")
+            scene_edits.add_numbers(editor, rim, f"{_CUT}\n{scene_edits.INDEX_OF_PART}")
 
 
 GAP_BUBBLE = Effect(
@@ -226,19 +212,19 @@ _DISC = '<float name="disc" value="$bubble_area_fraction"/>'
 def edit_round_bubble(editor: SceneEditor) -> None:
     """Part what borders the gap around the bubble, and put up its wall."""
     editor.refuse_id("bubble_wall")
-    part_gap(editor, _DISC, liquid="outside", air="inside")
-    sides = gap_sides(editor)
+    scene_edits.part_gap(editor, _DISC, liquid="outside", air="inside")
+    sides = scene_edits.gap_sides(editor)
     offset = sides[0].named("thickness_offset")
     parts = [
-        f'<float name="width" value="${WIDTH}"/>',
-        f'<float name="thickness" value="${GAP}"/>',
+        f'<float name="width" value="${scene_edits.WIDTH}"/>',
+        f'<float name="thickness" value="${scene_edits.GAP}"/>',
         _DISC,
-        INDEX_OF_PART,
+        scene_edits.INDEX_OF_PART,
         *([editor.source(offset)] if offset is not None else []),
-        worn_towards_air(editor, sides, "the gap's sides"),
+        scene_edits.worn_towards_air(editor, sides, "the gap's sides"),
         f'<ref name="interior" id="{editor.gap.attrib["id"]}"/>',
     ]
-    xml = element('shape type="round_wall" id="bubble_wall"', parts)
+    xml = scene_edits.element('shape type="round_wall" id="bubble_wall"', parts)
     editor.insert_shape(f"<!-- the wall of the bubble -->\n{xml}", after=sides[-1])
 
 
@@ -277,7 +263,7 @@ _LIQUID = "liquid"
 _WET = "crystal_to_liquid"
 _LEVEL = f"""<float name="level" value="$collar_mm"/>
 <string name="keep" value="{{}}"/>
-{INDEX_OF_PART}"""
+{scene_edits.INDEX_OF_PART}"""
 _ROUGH = "roughness_alpha"
 
 
@@ -290,7 +276,7 @@ def edit_gel_creep(editor: SceneEditor) -> None:
         problem = "the gap's medium has properties, which the liquid beside it would not have"
         raise editor.refusal(problem, "gel_creep and gap_absorption exclude each other", editor.gap)
     editor.refuse_id(_LIQUID)
-    box = crystal_box(editor)
+    box = scene_edits.crystal_box(editor)
     sides = [face for name in ("right", "left", "back", "front") for face in box[name]]
     # a new interface of crystal and liquid: the bottom's, as rough as the sides
     bottom, side = box["bottom"][0], sides[0]
@@ -303,7 +289,7 @@ def edit_gel_creep(editor: SceneEditor) -> None:
     kept = [part for part in below.elements if part.get("name") != _ROUGH]
     parts = [editor.source(part) for part in [*kept, beside.named(_ROUGH)] if part is not None]
     plugin = "polish" if len(parts) > 2 else "dielectric"
-    editor.insert_after(below, element(f'bsdf type="{plugin}" id="{wet}"', parts))
+    editor.insert_after(below, scene_edits.element(f'bsdf type="{plugin}" id="{wet}"', parts))
     editor.insert_after(
         editor.gap,
         "<!-- the liquid that has crept up the sides: light goes straight on in it -->\n"
@@ -316,7 +302,7 @@ def edit_gel_creep(editor: SceneEditor) -> None:
     )
     for face in sides:
         name = f"{face.attrib['id']}_wet"
-        split_panel(editor, face, name, _LEVEL, ("above", "below"), worn)
+        scene_edits.split_panel(editor, face, name, _LEVEL, ("above", "below"), worn)
 
 
 GEL_CREEP = Effect(

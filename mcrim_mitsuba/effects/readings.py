@@ -16,16 +16,13 @@ def reading_background(signals: np.ndarray, value: float, rows: Rows) -> Predict
     return signals + value, ones, ones
 
 
-def plausible_beside_background(signals: np.ndarray) -> tuple[float, float]:
-    """A tenth of the weakest signal: more would have been seen with the crystal out."""
-    largest = 0.1 * float(signals.min())
+def beside_background(part: float, signals: np.ndarray) -> tuple[float, float]:
+    """Up to a part of the weakest signal; more than a tenth is seen with the crystal out.
+
+    What is subtracted too much or too little is less than the weakest signal itself.
+    """
+    largest = part * float(signals.min())
     return -largest, largest
-
-
-def range_beside_background(signals: np.ndarray) -> tuple[float, float]:
-    """What is subtracted too much or too little is less than the weakest signal itself."""
-    weakest = float(signals.min())
-    return -weakest, weakest
 
 
 BACKGROUND = Effect(
@@ -47,8 +44,8 @@ BACKGROUND = Effect(
         start=0.0,
         plausible=(-math.inf, math.inf),
         nodes=(),
-        plausible_beside=plausible_beside_background,
-        range_beside=range_beside_background,
+        plausible_beside=partial(beside_background, 0.1),
+        range_beside=partial(beside_background, 1.0),
     ),
     reading=reading_background,
     order=1,
@@ -72,9 +69,8 @@ def plausible_beside_nonlinearity(signals: np.ndarray) -> tuple[float, float]:
 def range_beside_nonlinearity(signals: np.ndarray) -> tuple[float, float]:
     """Wide enough for signals of many units and of a part of one: 1 / k is what is never read."""
     largest = float(signals.max())
-    low, high = -0.05, 0.05
-    if plausible_beside_nonlinearity(signals)[1] <= high:
-        return low, high
+    if plausible_beside_nonlinearity(signals)[1] <= 0.05:
+        return -0.05, 0.05
     return -0.5 / largest, 1.5 / largest
 
 
@@ -236,9 +232,8 @@ NON_PROPORTIONALITY = Effect(
     physics=(
         "Light per keV is not the same for all energies: where an electron ionises densely, at the "
         "end of its track, excitations quench each other. In most oxides light per keV rises with "
-        "the energy, in alkali halides it falls. It is taken as a power of the energy, "
-        "relative to that of the light yield, or of the first row. It acts before a nonlinear "
-        "readout."
+        "the energy, in alkali halides it falls. It is taken as a power of the energy, relative to "
+        "that of the light yield, or of the first row. It acts before a nonlinear readout."
     ),
     source=(
         "P. Dorenbos, J. T. M. de Haas and C. W. E. van Eijk, IEEE Transactions on Nuclear "

@@ -194,11 +194,10 @@ WRAP_MISSING = Effect(
         "Tape is cut short, slips up or is folded back where the crystal stands on its window, and "
         "paint is kept off the joint. This share of the side area, a strip around the foot, is "
         "bare: light leaves there into what is around the wrapping, and is lost unless it falls on "
-        "a window that is wider than the crystal. In a "
-        "cavity that reflects well a bare share f acts like a port of an integrating sphere: each "
-        "time round a part 1 - R (1 - f) is lost in place of 1 - R, so that a few per cent are as "
-        "bad as a much darker wrapping. A clear, polished crystal keeps some of it by total "
-        "reflection."
+        "a window that is wider than the crystal. In a cavity that reflects well a bare share f "
+        "acts like a port of an integrating sphere: each time round a part 1 - R (1 - f) is lost "
+        "in place of 1 - R, so that a few per cent are as bad as a much darker wrapping. A clear, "
+        "polished crystal keeps some of it by total reflection."
     ),
     source="D. G. Goebel, Applied Optics 6 (1967) 125 (ports of integrating spheres)",
     parameters=one_parameter(
@@ -391,8 +390,7 @@ FORWARD_BEAM = Effect(
         "Light that leaves a crystal at a small angle to the beam, scattered forward or by the "
         "faces, counts as transmitted where the detector still takes it. Most instruments take a "
         "half angle of 1 to 7 degrees, one with an integrating sphere nearly 90, and few papers "
-        "say. It changes transmittances only, and none of a polished crystal that scatters "
-        "evenly."
+        "say. It changes transmittances only, and none of a polished crystal that scatters evenly."
     ),
     source="ASTM D1003: haze is what leaves at more than 2.5 degrees to the beam",
     parameters=one_parameter(

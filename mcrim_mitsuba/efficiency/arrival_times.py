@@ -122,9 +122,8 @@ class ArrivalTimes(OverAxes):
     @property
     def rows(self) -> list[tuple[float, float, float]]:
         """Rows of the histogram: time_ps, part, part_sigma."""
-        return list(
-            zip(*(x.tolist() for x in (self.time_ps, self.part, self.part_sigma)), strict=True)
-        )
+        columns = self.time_ps, self.part, self.part_sigma
+        return list(zip(*(x.tolist() for x in columns), strict=True))
 
     def to_xarray(self) -> xarray.Dataset:
         """The histogram over time_ps, and the first photons over their number and births."""
@@ -229,20 +228,15 @@ class TimedBench:
 
     def times_ps(self, records: Mapping[str, Array]) -> Array:
         """(media, detected) times that photons spend in every medium."""
-        return np.array(
-            [
-                records[self._path(name)].astype(float) * (MM_PER_CM * index / MM_PER_PS)
-                for name, (index, _) in self.media.items()
-            ]
-        )
+        per_cm = {self._path(n): MM_PER_CM * i / MM_PER_PS for n, (i, _) in self.media.items()}
+        return np.array([records[path].astype(float) * ps for path, ps in per_cm.items()])
 
     def slices(self, records: Mapping[str, Array]) -> NDArray[np.int64]:
         """(detected,) numbers of the depths at which photons were born."""
         if len(self.births) == 1:
             return np.zeros(len(records["w"]), np.int64)
-        return bin_of(
-            self.heights_mm[-1] - records["birth_from_top_mm"].astype(float), self.heights_mm
-        )
+        from_top_mm = records["birth_from_top_mm"].astype(float)
+        return bin_of(self.heights_mm[-1] - from_top_mm, self.heights_mm)
 
 
 def _follow(

@@ -79,15 +79,12 @@ def attenuations(
             slope = float(slope_of @ line)
             left = line - line.mean() - slope * along
             length_mm = abs(times / slope)
-            fits.append(
-                Attenuation(
-                    light=light,
-                    parameters=parameters,
-                    length_mm=length_mm,
-                    length_mm_sigma=length_mm**2
-                    / times
-                    * float(standard_error(of_batches @ slope_of)),
-                    departure=float(np.expm1(np.abs(left).max())),
-                )
+            fit = Attenuation(
+                light=light,
+                parameters=parameters,
+                length_mm=length_mm,
+                length_mm_sigma=length_mm**2 / times * float(standard_error(of_batches @ slope_of)),
+                departure=float(np.expm1(np.abs(left).max())),
             )
+            fits.append(fit)
     return tuple(fits)

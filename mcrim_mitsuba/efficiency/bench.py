@@ -75,18 +75,12 @@ class Bench:
                 lowest = {"mm": _ABOVE_0, "cm": 0.0}.get(name.rpartition("_")[2], 1.0)
                 limits = attribute.metadata.get("range", (lowest, math.inf))
                 object.__setattr__(self, name, _number(name, value, *limits))
+        covers = self.window_width_mm >= self.crystal_width_mm
+        leaves_1 = f"an offset that leaves an index of at least 1 (n_gap = {self.n_gap})"
         for name, fits, expected in (
-            (
-                "window_width_mm",
-                self.window_width_mm >= self.crystal_width_mm,
-                f"at least crystal_width_mm = {self.crystal_width_mm}",
-            ),
+            ("window_width_mm", covers, f"at least crystal_width_mm = {self.crystal_width_mm}"),
             ("gap_offset_mm", self.gap_thickness_mm > 0.0, f"more than -gap_mm = -{self.gap_mm}"),
-            (
-                "gap_index_offset",
-                self.gap_index >= 1.0,
-                f"an offset that leaves an index of at least 1 (n_gap = {self.n_gap})",
-            ),
+            ("gap_index_offset", self.gap_index >= 1.0, leaves_1),
         ):
             _require(fits, name, getattr(self, name), expected)
 

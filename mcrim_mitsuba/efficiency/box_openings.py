@@ -82,8 +82,7 @@ class Waves:
         signed = np.array(pairs)
         folded, begins = np.unique(np.abs(signed), axis=0, return_index=True)
         stands_for = np.where(signed.any(axis=1), 2.0, 1.0)
-        of_each_fold = np.add.reduceat(stands_for, begins)
-        return cls(signed, stands_for, begins, folded, of_each_fold)
+        return cls(signed, stands_for, begins, folded, np.add.reduceat(stands_for, begins))
 
     def places(self, across: int) -> NDArray[np.int64]:
         """Where the groups are among all p and q below a number, (groups,)."""
@@ -481,10 +480,8 @@ def _in_small_hole(bench: Bench, along: _Chords, *, kinks_at_edge: bool) -> list
         entered * (1.0 - lost[1][:, None] * (y > far[1][:, None])) for far, lost in along.ends
     ]
     waves = along.waves(y)
-    return [
-        over_x.swapaxes(1, 2) @ ((weight * kept)[..., None] * waves)
-        for over_x, kept in zip(along.kept(0, chord), kept_along_y, strict=True)
-    ]
+    pairs = zip(along.kept(0, chord), kept_along_y, strict=True)
+    return [over_x.swapaxes(1, 2) @ ((weight * kept)[..., None] * waves) for over_x, kept in pairs]
 
 
 #: Gauss nodes on each part of the hole, more than orders.

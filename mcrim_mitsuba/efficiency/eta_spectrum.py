@@ -77,8 +77,7 @@ class EtaSpectrum(OverAxes):
     def detected_part(self) -> Array:
         """(wavelengths,) light that is detected, per nm; its integral by trapezoids is 1."""
         seen = self.light.emission * self.eta * self.light.efficiency
-        area = float(np.trapezoid(seen, self.light.wavelength_nm))
-        return np.asarray(seen / area, float)
+        return np.asarray(seen / np.trapezoid(seen, self.light.wavelength_nm), float)
 
     def to_xarray(self) -> xarray.Dataset:
         """A dataset over wavelength_nm, with attributes that make it reproducible."""
@@ -178,8 +177,7 @@ def _by_solver(plan: _Plan, solver: Solver, run: Run) -> _Answer:
     +-x adds x^2 / 6 to the mean's variance.
     """
     scattering, absorption = np.array(plan.points).T
-    ends = plan.asked_nm[[0, -2]]
-    tilt = np.interp(plan.asked_nm, ends, (-1.0, 1.0))
+    tilt = np.interp(plan.asked_nm, plan.asked_nm[[0, -2]], (-1.0, 1.0))
     alike = np.ones_like(tilt)
     signs = math.sqrt(6.0) * np.array([tilt, -tilt, alike, -alike])
     solved = solver(plan.benches, scattering, absorption, run)
@@ -191,9 +189,8 @@ def _by_photons(plan: _Plan, run: Run) -> _Answer:
     if run.photons is None and run.precision is None:
         run = replace(run, photons=PHOTONS)
     benches = zip(plan.nodes_nm, plan.benches, strict=True)
-    records = record_surfaces(
-        [EtaRequest(f"{nm:.0f} nm", bench, plan.points, run) for nm, bench in benches]
-    )
+    requests = [EtaRequest(f"{nm:.0f} nm", bench, plan.points, run) for nm, bench in benches]
+    records = record_surfaces(requests)
     rows = []
     for surface, _ in records:
         for nm, point in zip(plan.asked_nm, plan.points, strict=True):

@@ -34,14 +34,8 @@ from mcrim_mitsuba.efficiency.eta_grid import (
 )
 from mcrim_mitsuba.efficiency.proposals import SMALLEST_PER_CM, choose_proposals
 from mcrim_mitsuba.efficiency.surface import Coefficients, EtaPoint
+from mcrim_mitsuba.runs import executors
 from mcrim_mitsuba.runs.cache import record_versions
-from mcrim_mitsuba.runs.executors import (
-    Content,
-    Finished,
-    Job,
-    current_executor,
-    many_units_executor,
-)
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import LANES, PhotonRecords, ScatteringProposals
@@ -77,10 +71,8 @@ class EtaSurface:
     @classmethod
     def of(cls, grid: Grid, *records: PhotonRecords) -> EtaSurface:
         """The surface of one or more launches' records of one configuration."""
-        tables = [
-            GridReweighter(launch, grid, batches=launch.batches).table() for launch in records
-        ]
-        return cls(grid, merged(tables, [launch.photons for launch in records]))
+        parts = [GridReweighter(launch, grid, batches=launch.batches).table() for launch in records]
+        return cls(grid, merged(parts, [launch.photons for launch in records]))
 
     def evaluate(
         self,
@@ -176,7 +168,7 @@ class GridBlock(LaunchBlock):
     grid: Grid
     cuts: tuple[Cut, ...] = (Cut(),)
 
-    def make(self, threads: int | None) -> dict[int, Content]:
+    def make(self, threads: int | None) -> dict[int, executors.Content]:
         """Simulate; one thread weighs a launch's records while the next one is under way."""
         simulation = self.loaded(threads)  # chooses an LLVM before Dr.Jit is imported
         from mcrim_mitsuba.transport.collection import Recorder
@@ -252,8 +244,7 @@ class EtaRun:
         self.request, self.most = request, run.photons_or(MOST_PHOTONS)
         self._grid = request.grid
         least_absorption, _ = self._grid.alpha_abs_range_per_cm
-        scattering = self._grid.alpha_scat_range_per_cm
-        self._proposals = choose_proposals(*scattering, least_absorption)
+        self._proposals = choose_proposals(*self._grid.alpha_scat_range_per_cm, least_absorption)
         self._tables: list[EtaGrid] = []
         self._photons_of: list[int] = []
         self._launches = 0
@@ -261,18 +252,17 @@ class EtaRun:
         self.cached_photons = 0
         #: Largest relative error of the points that can be answered; 0 where that is enough.
         self.worst = math.inf
-        self._cache = current_executor().cache(
-            {
-                "what": "eta on a grid",
-                "scene": request.scene.content_hash,
-                "seed": run.seed,
-                "proposals": dataclasses.asdict(self._proposals),
-                "grid": dataclasses.asdict(self._grid),
-                "cuts": request.cuts,
-                "versions": record_versions(run.variant, __name__),
-                "layout": _LAYOUT,
-            }
-        )
+        key = {
+            "what": "eta on a grid",
+            "scene": request.scene.content_hash,
+            "seed": run.seed,
+            "proposals": dataclasses.asdict(self._proposals),
+            "grid": dataclasses.asdict(self._grid),
+            "cuts": request.cuts,
+            "versions": record_versions(run.variant, __name__),
+            "layout": _LAYOUT,
+        }
+        self._cache = executors.current_executor().cache(key)
 
     @property
     def photons(self) -> int:
@@ -295,36 +285,26 @@ class EtaRun:
         """What the user must know of the cache."""
         return list(self._cache.notes)
 
-    def jobs(self, photons: int) -> list[Job]:
+    def jobs(self, photons: int) -> list[executors.Job]:
         """Units that are missing to have so many photons at least, to be taken in this order."""
         of, run = self.request, self.request.run
         lacking = -(-photons // LANES) * LANES - self.photons
-        return [
-            Job(
-                GridBlock(
-                    of.what,
-                    of.scene,
-                    run.seed,
-                    run.variant,
-                    number > 0 or not run.check,
-                    number,
-                    block,
-                    self._proposals,
-                    self._grid,
-                    of.cuts,
-                ),
-                self._cache,
-            )
-            for number, block in planned(lacking, self._launches, LARGEST_LAUNCH)
-        ]
+        bench = of.what, of.scene, run.seed, run.variant
+        asked = self._proposals, self._grid, of.cuts
+        jobs = []
+        for number, block in planned(lacking, self._launches, LARGEST_LAUNCH):
+            checked = number > 0 or not run.check
+            unit = GridBlock(*bench, checked, number, block, *asked)
+            jobs.append(executors.Job(unit, self._cache))
+        return jobs
 
-    def take(self, done: Finished) -> None:
+    def take(self, done: executors.Finished) -> None:
         """Keep what a unit found."""
         unit = done.job.unit
         assert isinstance(unit, GridBlock)
         (chunk,) = done.chunks.values()
-        shape = len(self.request.cuts), *self._grid.counts
-        self._tables.append(table_of(chunk.arrays, *shape))
+        cuts = len(self.request.cuts)
+        self._tables.append(table_of(chunk.arrays, cuts, *self._grid.counts))
         self._photons_of.append(unit.photons)
         self._launches += len(unit.launches)
         self.cached_photons += unit.photons if done.cached else 0
@@ -332,8 +312,7 @@ class EtaRun:
     def look(self) -> None:
         """See what the photons so far tell."""
         sigmas = np.array([s.relative_sigmas(self.request.points) for s in self.surfaces])
-        answered = sigmas[sigmas < _LARGEST_ERROR]
-        self.worst = float(answered.max(initial=0.0))
+        self.worst = float(sigmas[sigmas < _LARGEST_ERROR].max(initial=0.0))
 
     def goal(self) -> int:
         """Photons to have next."""
@@ -387,7 +366,7 @@ def _extend(goals: Sequence[tuple[EtaRun, int]], *, by_all: bool = False) -> Non
         of_all.tell(what, had + done, had + total, note)
 
     jobs = [job for _, job in pairs]
-    executor = many_units_executor(of_all.threads)
+    executor = executors.many_units_executor(of_all.threads)
     for done in executor.do(jobs, threads=of_all.threads, by_all=by_all, progress=report):
         pairs[done.index][0].take(done)
     for run, _ in goals:

@@ -419,8 +419,7 @@ def all_spreads(
 
 def _falling(depths_mm: Array, length_mm: float) -> Array:
     """Part of what stops between depths, rising from 0, per part of the whole depth."""
-    stopped = -np.diff(np.exp(-depths_mm / length_mm))
-    return np.asarray(stopped / np.diff(depths_mm), float)
+    return np.asarray(-np.diff(np.exp(-depths_mm / length_mm)) / np.diff(depths_mm), float)
 
 
 def _refused(path: Path, line: int, problem: str) -> InputError:

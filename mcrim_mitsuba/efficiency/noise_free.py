@@ -128,9 +128,8 @@ def solve_benches(
         run.tell(_WHAT, number, len(benches))
         simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
         with placed(path=file.path):
-            solved = solve_box(
-                bench_of(simulation), alpha_scat_per_cm, alpha_abs_per_cm, precision=run.precision
-            )
+            bench = bench_of(simulation)
+            solved = solve_box(bench, alpha_scat_per_cm, alpha_abs_per_cm, precision=run.precision)
         etas.append((solved.eta, solved.error))
     run.tell(_WHAT, len(benches), len(benches))
     return etas

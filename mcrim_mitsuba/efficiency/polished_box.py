@@ -114,11 +114,8 @@ class _Modes:
         kernel = kernel + kernel.transpose(0, 1, 3, 2, 4, 6, 5, 7)
         detected, left = (x + x.swapaxes(2, 3) for x in (detected, left))
         size = self.size
-        return _Systems(
-            kernel.reshape(*shape[:2], size, size),
-            detected.reshape(*shape[:2], size),
-            left.reshape(*shape[:2], size),
-        )
+        whole = kernel.reshape(*shape[:2], size, size)
+        return _Systems(whole, detected.reshape(*shape[:2], size), left.reshape(*shape[:2], size))
 
     @property
     def _across(self) -> tuple[_Array, _Array]:
@@ -203,8 +200,7 @@ class _Modes:
         changed = factor * (alpha[:, None, None] * (cone.weight / cone.cos / -width))
         both = np.einsum("xaijmkjm->xajmik", kernel)
         flow = wave[:, 0] * (factor[:, 0] * (cone.weight / width))[..., None]
-        products = _over_nodes(wave, wave * changed[..., None], cone.rules)
-        for rule, product in enumerate(products):
+        for rule, product in enumerate(_over_nodes(wave, wave * changed[..., None], cone.rules)):
             both[rule] += self._by_signs(product) * many[:, None]
             left[rule, :, :, 0, 0] += flow[:, cone.rules[rule]].real.sum(axis=1) * many
 
@@ -253,8 +249,7 @@ class _Modes:
     def _phase_across(self, sides: SideCone) -> _Phase:
         by_q = self._across[0][:, None] * sides.across_y
         by_r = self._upwards[0][:, None] * sides.across_z
-        turned = by_q[1:, None] - by_r[1:]
-        both = by_q[:, None] + by_r, turned
+        both = by_q[:, None] + by_r, by_q[1:, None] - by_r[1:]
         phase = np.concatenate([x.reshape(-1, x.shape[-1]) for x in both])
         return _Phase.of(phase, sides.cos, self.bench.crystal_width_mm)
 
@@ -546,8 +541,7 @@ def _solved(
     visits = np.linalg.solve(equations.swapaxes(1, 2), source[:, None])[..., 0]
     eta = f[..., 0] @ source
     absorbed = (1.0 - albedo) * (visits * kernel[:, :, 0]).sum(axis=1)
-    clear = alpha <= _NO_EXTINCTION
-    trapped = np.where(clear, absorbed, 0.0)
+    trapped = np.where(alpha <= _NO_EXTINCTION, absorbed, 0.0)
     absorbed = absorbed - trapped
     few = modes.fewer()
     rougher = np.linalg.solve(equations[:, few[:, None], few], detected[:, few, None])[..., 0]

@@ -76,12 +76,9 @@ def collect(
         type(current_executor()) is Executor
         and _lacking(simulation, photons, run, max_depth) <= AT_ONCE * simulation.launcher().size
     ):
+        report = tell if run.progress else None
         return simulation.collect(
-            photons,
-            precision=run.precision,
-            seed=run.seed,
-            progress=tell if run.progress else None,
-            max_depth=max_depth,
+            photons, precision=run.precision, seed=run.seed, progress=report, max_depth=max_depth
         )
     return _collect_in_units(simulation, photons, run, what, max_depth, tell)
 
@@ -156,16 +153,15 @@ def _collect_in_units(
     remember(simulation)
     executor, launcher = current_executor(), simulation.launcher()
     size = launcher.size
-    cache = executor.cache(
-        {
-            "what": "tallies",
-            "scene": simulation.file.content_hash,
-            "seed": run.seed,
-            "max_depth": max_depth,
-            "versions": record_versions(simulation.variant, __name__),
-            "layout": _LAYOUT,
-        }
-    )
+    key = {
+        "what": "tallies",
+        "scene": simulation.file.content_hash,
+        "seed": run.seed,
+        "max_depth": max_depth,
+        "versions": record_versions(simulation.variant, __name__),
+        "layout": _LAYOUT,
+    }
+    cache = executor.cache(key)
     block = functools.partial(
         TallyBlock, what, simulation.file, run.seed, simulation.variant, True, max_depth=max_depth
     )
@@ -185,13 +181,12 @@ def _collect_in_units(
             raise
         interrupted = True
     # of an earlier run's photons the time that they took then
-    seconds = so_far.seconds if so_far.cached_photons else time.perf_counter() - start
     return simulation.result(
         tally,
         photons,
         run.seed,
         run.precision,
-        seconds=seconds,
+        seconds=so_far.seconds if so_far.cached_photons else time.perf_counter() - start,
         path_name=so_far.path,
         interrupted=interrupted,
         max_depth=max_depth,

@@ -91,10 +91,8 @@ class EtaTable(OverAxes):
 
     def to_xarray(self) -> xarray.Dataset:
         """Eta and eta_sigma over the axes, with units; attributes make it reproducible."""
-        dataset = self.dataset(
-            {name: (tuple(self.axes), getattr(self, name)) for name in ("eta", "eta_sigma")},
-            {name: list(values) for name, values in self.axes.items()},
-        )
+        arrays = {name: (tuple(self.axes), getattr(self, name)) for name in ("eta", "eta_sigma")}
+        dataset = self.dataset(arrays, {name: list(values) for name, values in self.axes.items()})
         dataset.eta.attrs["long_name"] = "light collection efficiency"
         for name in self.axes:
             dataset[name].attrs.setdefault("units", "1")
@@ -142,11 +140,10 @@ def eta_table(
     answers, work, notes = _answer_all(file, grid, run)
     in_order = [answers[key, p] for key in grid.configurations for p in grid.points]
     eta = np.array([answer.eta for answer in in_order]).reshape(grid.shape)
-    eta_sigma = np.array([answer.sigma for answer in in_order]).reshape(grid.shape)
     table = EtaTable(
         axes=grid.axes,
         eta=eta,
-        eta_sigma=eta_sigma,
+        eta_sigma=np.array([answer.sigma for answer in in_order]).reshape(grid.shape),
         attenuation=_attenuations(grid, eta, in_order),
         photons=sum(part.photons for part in work),
         cached_photons=sum(part.cached_photons for part in work),
@@ -236,8 +233,7 @@ class TableGrid:
     @property
     def points(self) -> list[Coefficients]:
         """Scattering and absorption, 1/cm, within a configuration; scattering runs fastest."""
-        pairs = itertools.product(*self.inner.values())
-        return [(float(a_s), float(a_a)) for a_a, a_s in pairs]
+        return [(float(a_s), float(a_a)) for a_a, a_s in itertools.product(*self.inner.values())]
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -349,18 +345,11 @@ def _record(
     for bench in benches:
         scenes.setdefault(bench.recorded.content_hash, bench)
         cuts.setdefault(bench.recorded.content_hash, {})[bench.cut] = None
-    recorded = record_surfaces(
-        [
-            EtaRequest(
-                f"{bench.recorded_name}{words}",
-                bench.recorded,
-                points,
-                run,
-                cuts=tuple(cuts[scene]),
-            )
-            for scene, bench in scenes.items()
-        ]
-    )
+    requests = []
+    for scene, bench in scenes.items():
+        name, its_cuts = f"{bench.recorded_name}{words}", tuple(cuts[scene])
+        requests.append(EtaRequest(name, bench.recorded, points, run, cuts=its_cuts))
+    recorded = record_surfaces(requests)
     runs = [behind for _, behind in recorded]
     surfaces = {
         (scene, cut): surface

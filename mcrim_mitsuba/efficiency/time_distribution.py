@@ -54,9 +54,8 @@ def cell_edges(begin_ps: float, end_ps: float, decay_ps: float) -> Array:
     fine = begin_ps + step * np.arange(SETTINGS.cells + 1)
     latest = SETTINGS.latest * fine[-1] + SETTINGS.decays * decay_ps
     growing = math.ceil(math.log1p((latest - fine[-1]) * SETTINGS.growth / step) / SETTINGS.growth)
-    beyond = (
-        fine[-1] + step * np.expm1(SETTINGS.growth * np.arange(1, growing + 1)) / SETTINGS.growth
-    )
+    numbers = np.arange(1, growing + 1)
+    beyond = fine[-1] + step * np.expm1(SETTINGS.growth * numbers) / SETTINGS.growth
     before = [0.0] if begin_ps > 0.0 else []
     return np.array([*before, *fine, *beyond, math.inf])
 
@@ -99,10 +98,8 @@ class TimeCells:
     @property
     def times_ps(self) -> Array:
         """(cells,) mean time of a cell's light; its beginning where there is none."""
-        light = self.light.sum(axis=(0, 1))
-        return np.where(
-            light > 0.0, self._times / np.where(light > 0.0, light, 1.0), self.edges_ps[:-1]
-        )
+        light, begins = self.light.sum(axis=(0, 1)), self.edges_ps[:-1]
+        return np.where(light > 0.0, self._times / np.where(light > 0.0, light, 1.0), begins)
 
     def emitted(self, light: Array, decay_ps: float) -> Array:
         """Light, (..., cells), with the decay of its emission; 0: all is emitted at once."""
@@ -254,13 +251,8 @@ def first_of_event(
     for born, number in numbers.items():
         values, sigmas = jackknife(number, light)
         (mean, rms), (mean_sigma, rms_sigma) = values, cells.with_cell_errors(values, sigmas)
-        first.append(
-            FirstPhotons(
-                born=born,
-                mean_ps=mean,
-                mean_ps_sigma=mean_sigma,
-                rms_ps=rms,
-                rms_ps_sigma=rms_sigma,
-            )
+        photons = FirstPhotons(
+            born=born, mean_ps=mean, mean_ps_sigma=mean_sigma, rms_ps=rms, rms_ps_sigma=rms_sigma
         )
+        first.append(photons)
     return tuple(first)

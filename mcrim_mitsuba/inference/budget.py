@@ -38,8 +38,7 @@ def _parts_of(fit: Calibration, quantities: Quantities) -> tuple[dict[str, Array
     minimum = fit.minimum
     # (quantities, used readings): how a reading moves a quantity
     pulled = quantities.slopes @ minimum.response
-    counted = minimum.weights.errors.statistical_variances(pulled)
-    parts = {"counts": np.sqrt(counted)}
+    parts = {"counts": np.sqrt(minimum.weights.errors.statistical_variances(pulled))}
     for i, parameter in enumerate(fit.model.free):
         roots = {f"bounds, {parameter.name}": math.sqrt(minimum.bounds_weight[i])}
         if parameter.prior_sigma is not None:
@@ -72,9 +71,8 @@ def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, Erro
             others = np.hypot(others, part)
     parts["tolerance, others"] = others
     budgets = {}
-    for i, (name, value) in enumerate(
-        zip(quantities.names, quantities.values.tolist(), strict=True)
-    ):
+    values = quantities.values.tolist()
+    for i, (name, value) in enumerate(zip(quantities.names, values, strict=True)):
         errors = {origin: float(part[i]) for origin, part in parts.items()}
         if name in fit.parameters and _DETECTOR in fit.parameters[name].contributions:
             light_yield = fit.parameters[name]
@@ -275,6 +273,7 @@ def budget(
     contributions = contributions_to(fit, own)
     neglected = work.neglected()
     together = work.together(neglected)
+    provenance = spent_together([simulations.provenance(), work.provenance()])
     return Budget(
         fit=fit,
         main=own.main(tuple(campaign.priors)),
@@ -283,10 +282,7 @@ def budget(
         together=together,
         totals=totals(own, contributions, neglected, work.corrected, together),
         not_estimated=work.refused,
-        provenance=replace(
-            spent_together([simulations.provenance(), work.provenance()]),
-            seconds=time.perf_counter() - start,
-        ),
+        provenance=replace(provenance, seconds=time.perf_counter() - start),
         places=places,
         corrections=yield_corrections(campaign, known.depth),
     )

@@ -215,12 +215,9 @@ def determined_estimates(fit: Minimum, evidence: Evidence) -> dict[str, Paramete
     for name in fit.names:
         own, sigma = parameters[name], evidence.sigma[name]
         if own.sigma > most * sigma:
+            low, high = own.value - sigma, own.value + sigma
             parameters[name] = replace(
-                own,
-                sigma=sigma,
-                lower=own.value - sigma,
-                upper=own.value + sigma,
-                contributions={"plausible": sigma},
+                own, sigma=sigma, lower=low, upper=high, contributions={"plausible": sigma}
             )
     return parameters | light_yields(parameters, fit.statistic.model.campaign)
 

@@ -163,9 +163,8 @@ def weigh_sets(
         for members, log_weights, log_scales, variances in products.sets(causes_here):
             within, log_weights = np.full(len(members), place), log_weights + seen.log_weight
             parts.append((members, within, log_weights, log_scales + shift, variances))
-    members, within, log_weights, log_scales, variances = map(
-        np.concatenate, zip(*parts, strict=True)
-    )
+    columns = zip(*parts, strict=True)
+    members, within, log_weights, log_scales, variances = map(np.concatenate, columns)
     return WeighedSets(
         causes=tuple(causes),
         surroundings=tuple(surroundings),
@@ -264,14 +263,9 @@ class _Seen:
         variance = around.error_factor**2 * scale_variance
         variance += around.amplitude**2 * discrepancy.of_scale - float(followed @ followed)
         origins, slopes = strips.origins @ whitening.T, strips.slopes @ whitening.T
+        t, b = strips.t - origins @ followed, strips.b - slopes @ followed
         return cls(
-            strips=replace(
-                strips,
-                origins=origins,
-                slopes=slopes,
-                t=strips.t - origins @ followed,
-                b=strips.b - slopes @ followed,
-            ),
+            strips=replace(strips, origins=origins, slopes=slopes, t=t, b=b),
             whitening=whitening,
             followed=followed,
             scale_variance=max(variance, 0.0),
@@ -330,14 +324,10 @@ class _Products:
         members = np.full((len(own), MOST_CAUSES), -1)
         members[:, 0] = self._owner
         starts = _starts(members)
+        means = self._t + self._b * along / own
         return (
             members[starts],
-            *self._gathered(
-                starts,
-                log_weights - 0.5 * self._squared,
-                self._t + self._b * along / own,
-                self._b**2 / own,
-            ),
+            *self._gathered(starts, log_weights - 0.5 * self._squared, means, self._b**2 / own),
         )
 
     def _pairs(self) -> _Pairs:
@@ -383,11 +373,8 @@ class _Products:
         """
         owner = self._owner
         last = int(np.searchsorted(owner[pairs.second], third))
-        allowed = ~(
-            self._excluded[owner[pairs.first[:last]], third]
-            | self._excluded[owner[pairs.second[:last]], third]
-        )
-        at = np.flatnonzero(allowed)
+        first, second = owner[pairs.first[:last]], owner[pairs.second[:last]]
+        at = np.flatnonzero(~(self._excluded[first, third] | self._excluded[second, third]))
         if not len(at):
             return
         p = pairs.taken(at)
@@ -396,10 +383,8 @@ class _Products:
         log_weights, means, variances = [], [], []
         for k in np.flatnonzero(owner == third):
             row, lower, along = self._aa[k], self._ao[:, k].copy(), self._ao[k]
-            own, height, along_own, b, t = (
-                np.float32(values[k])
-                for values in (self._own, self._heights, self._along, self._b, self._t)
-            )
+            of_strips = self._own, self._heights, self._along, self._b, self._t
+            own, height, along_own, b, t = (np.float32(values[k]) for values in of_strips)
             along1, along2 = p.along1 - lower[p.first], p.along2 - lower[p.second]
             left2 = along2 - p.ratio * along1
             with1 = row[p.first]
@@ -480,12 +465,11 @@ class _Pairs:
 
     def in_single_precision(self) -> _Pairs:
         """The same numbers in float32."""
-        return _Pairs(
-            **{
-                name: values.astype(np.float32) if values.dtype == np.float64 else values
-                for name, values in vars(self).items()
-            }
-        )
+        numbers = {
+            name: values.astype(np.float32) if values.dtype == np.float64 else values
+            for name, values in vars(self).items()
+        }
+        return _Pairs(**numbers)
 
     def members(self, owner: Indices) -> Indices:
         """(pairs, 3) causes, the third of which is none."""

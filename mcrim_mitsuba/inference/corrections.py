@@ -174,15 +174,10 @@ def shifts(
     common = [name for name in before.names if name in after.names]
     first, second = ([side.names.index(name) for name in common] for side in (before, after))
     sigmas = spread(after.batches[:, second] - before.batches[:, first])
-    return {
-        name: Shift(
-            float(before.values[i]),
-            float(after.values[j]),
-            float(sigma),
-            (size_sigmas or {}).get(name, 0.0),
-        )
-        for name, i, j, sigma in zip(common, first, second, sigmas, strict=True)
-    }
+    ends = before.values[first].tolist(), after.values[second].tolist()
+    numbers = zip(common, *ends, sigmas.tolist(), strict=True)
+    sizes = size_sigmas or {}
+    return {n: Shift(old, new, sigma, sizes.get(n, 0.0)) for n, old, new, sigma in numbers}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -348,6 +343,7 @@ class NeglectWork:
     def _crystal_index(self, band: BandIndices) -> Neglected:
         """The crystal has its material's index, the mean over the light that is detected."""
         mean, sigma = band.over.mean, band.over.sigma
+        doubt = CRYSTAL_INDEX, mean, sigma
         return Neglected(
             name=CRYSTAL_INDEX,
             title="crystal's index",
@@ -355,9 +351,7 @@ class NeglectWork:
             put_in=f"n = {pdg(mean, sigma)} in the place of {self._nominal:g} "
             f"({band.material.name} over {band.origin})",
             mend=f"set {INDEX} to {mean:.4f} in the scene",
-            **self._moved(
-                self._refit(self.bench, CRYSTAL_INDEX, [mean]), (CRYSTAL_INDEX, mean, sigma)
-            ),
+            **self._moved(self._refit(self.bench, CRYSTAL_INDEX, [mean]), doubt),
         )
 
     def _index_spread(self, band: BandIndices) -> Neglected:
@@ -381,6 +375,7 @@ class NeglectWork:
         ordinary, extraordinary = band.over.ordinary_mean, band.over.extraordinary_mean
         assert extraordinary is not None
         sigma = orientation_sigma(ordinary, extraordinary)
+        doubt = CRYSTAL_INDEX, self._nominal, sigma
         return Neglected(
             name="birefringence",
             title="birefringence",
@@ -389,10 +384,7 @@ class NeglectWork:
             f"direction makes the index uncertain by {sigma:.4f}",
             mend="the crystal's cut: with the optic axis at the angle b to the window's normal the "
             f"index is {ordinary:.4f} {extraordinary - ordinary:+.4f} sin^2(b) / 2",
-            **self._moved(
-                self._spread_over(*indices_of_light(ordinary, extraordinary)),
-                (CRYSTAL_INDEX, self._nominal, sigma),
-            ),
+            **self._moved(self._spread_over(*indices_of_light(ordinary, extraordinary)), doubt),
         )
 
     @property

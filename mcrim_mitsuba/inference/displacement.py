@@ -49,8 +49,7 @@ class BaselineFrame:
         self._of_scale = np.zeros(len(slopes))
         names = [fit.names[place] for place in fit.movable]
         if SCALE in names:
-            response = np.linalg.pinv(slopes)[names.index(SCALE)]
-            self._of_scale = response / fit.values[SCALE]
+            self._of_scale = np.linalg.pinv(slopes)[names.index(SCALE)] / fit.values[SCALE]
 
     @property
     def scale_variance(self) -> float:
@@ -274,8 +273,7 @@ def _cells(densities: list[PriorDensity], curve: Curve, moves: Array) -> tuple[A
     for density, values in zip(densities, curve.sizes[1:].T, strict=True):
         levels = np.unique(values)
         z = np.array([density.z_of(between) for between in 0.5 * (levels[1:] + levels[:-1])])
-        below = np.concatenate([[0.0], ndtr(z), [1.0]])
-        shares *= np.diff(below)[np.searchsorted(levels, values)]
+        shares *= np.diff(np.concatenate([[0.0], ndtr(z), [1.0]]))[np.searchsorted(levels, values)]
     halves = np.zeros_like(moves)
     for a, b in curve.ends:
         half = 0.5 * (moves[b] - moves[a])
@@ -295,8 +293,7 @@ class NullDistribution:
         self.frame = BaselineFrame(explanations.baseline)
         #: By effect.
         self.curves = {name: curve_of(explanations, name, self.frame) for name in effects}
-        dimensions = self.frame.dimensions
-        drawn = np.random.default_rng(seed).standard_normal((CHANCE.draws, dimensions))
+        drawn = np.random.default_rng(seed).standard_normal((CHANCE.draws, self.frame.dimensions))
         gains = [curve.gains(drawn) for curve in self.curves.values()]
         self.largest = np.sort(np.max(gains, axis=0)) if gains else np.zeros(CHANCE.draws)
 

@@ -83,11 +83,9 @@ def minuit(statistic: Statistic, theta: Array, weights: Weights) -> tuple[Array,
         elif prior_weight:
             step = prior_weight**-0.5
         first_steps.append(step)
+    start = np.array(inside)
     search = Minuit(
-        lambda x: evaluated(x)[0],
-        np.array(inside),
-        grad=lambda x: evaluated(x)[1],
-        name=statistic.names,
+        lambda x: evaluated(x)[0], start, grad=lambda x: evaluated(x)[1], name=statistic.names
     )
     search.errordef = Minuit.LEAST_SQUARES
     search.tol = SEARCH.minuit_tolerance

@@ -90,10 +90,9 @@ class NumberOffset:
 
         One that the campaign names always is.
         """
-        far = abs(self.offset) > BUDGETING.off * self.tolerance.sigma
         return (
             self.tolerance.given
-            or far
+            or abs(self.offset) > BUDGETING.off * self.tolerance.sigma
             or (self.of_scale or 0.0) > BUDGETING.matters * relative_sigma
         )
 
@@ -111,6 +110,7 @@ def offsets(minimum: Minimum) -> tuple[NumberOffset, ...]:
     if SCALE in minimum.names:
         relative = minimum.response[minimum.names.index(SCALE)] @ moved / minimum.values[SCALE]
         of_scale = np.abs(relative).tolist()
+    tolerances = minimum.statistic.model.campaign.tolerances if len(mean) else ()
     return tuple(
         NumberOffset(
             tolerance=tolerance,
@@ -119,11 +119,7 @@ def offsets(minimum: Minimum) -> tuple[NumberOffset, ...]:
             of_scale=part,
         )
         for tolerance, offset, variance, part in zip(
-            minimum.statistic.model.campaign.tolerances if len(mean) else (),
-            mean.tolist(),
-            variances.tolist(),
-            of_scale,
-            strict=True,
+            tolerances, mean.tolist(), variances.tolist(), of_scale, strict=True
         )
     )
 
@@ -176,16 +172,14 @@ def light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEs
             return None
         return value + sign * math.hypot((of_scale - scale.value) * known.per_scale, of_efficiency)
 
+    parts = {origin: part * known.per_scale for origin, part in scale.contributions.items()}
     return ParameterEstimate(
         value=value,
         sigma=math.hypot(scale.sigma * known.per_scale, of_efficiency),
         lower=end(scale.lower, -1.0),
         upper=end(scale.upper, +1.0),
         at_bound=scale.at_bound,
-        contributions={
-            **{origin: part * known.per_scale for origin, part in scale.contributions.items()},
-            "detector_efficiency": of_efficiency,
-        },
+        contributions={**parts, "detector_efficiency": of_efficiency},
         efficiency_contributions={
             origin: value * part / known.detector_efficiency
             for origin, part in known.efficiency_parts.items()
@@ -323,6 +317,4 @@ def error_of_difference(fit: Minimum, other: Minimum) -> float:
     if fit is other:
         return 0.0
     one, two = chi2_of_batches(fit), chi2_of_batches(other)
-    if one is None or two is None or len(one) < 2:
-        return 0.0
-    return float(spread(one - two))
+    return 0.0 if one is None or two is None or len(one) < 2 else float(spread(one - two))

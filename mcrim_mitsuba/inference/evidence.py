@@ -200,8 +200,7 @@ class _Sampled:
         residuals, slopes = self._linear(z)
         height = float(residuals @ residuals + z @ z)
         for _ in range(EVIDENCE.descents):
-            hessian = slopes.T @ slopes + np.eye(len(z))
-            step = -np.linalg.solve(hessian, slopes.T @ residuals + z)
+            step = -np.linalg.solve(slopes.T @ slopes + np.eye(len(z)), slopes.T @ residuals + z)
             step *= min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-12))
             for _ in range(6):
                 their_residuals, their_slopes = self._linear(z + step)
@@ -215,8 +214,7 @@ class _Sampled:
             residuals, slopes = their_residuals, their_slopes
             if gained < 1e-3:
                 break
-        covariance = np.asarray(np.linalg.inv(slopes.T @ slopes + np.eye(len(z))), float)
-        return z, covariance
+        return z, np.asarray(np.linalg.inv(slopes.T @ slopes + np.eye(len(z))), float)
 
     def _linear(self, z: Array) -> tuple[Array, Array]:
         """(used,) whitened residuals and their (used, free) slopes."""

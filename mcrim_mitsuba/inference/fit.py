@@ -152,17 +152,14 @@ def result_of(minima: list[Minimum], *, profile: bool) -> Calibration:
     else:
         known, notes_of_intervals = estimates(best).items(), []
         parameters = {n: replace(e, lower=None, upper=None) for n, e in known}
+    shifted = prediction.where_off(best.weights.errors.tolerances, best.weighted_residuals)
     fit = Calibration(
         parameters=parameters,
         fixed=held(campaign),
         chi2=best.chi2,
         ndf=best.ndf,
         p_value=best.p_value,
-        rows=fitted_rows(
-            model,
-            prediction.where_off(best.weights.errors.tolerances, best.weighted_residuals),
-            prediction.eta_sigma.tolist(),
-        ),
+        rows=fitted_rows(model, shifted, prediction.eta_sigma.tolist()),
         names=best.names,
         covariance=best.covariance,
         response=of_rows,
@@ -256,9 +253,8 @@ def _with_intervals(best: Minimum) -> tuple[dict[str, ParameterEstimate], list[s
                 try:
                     model.predict(theta, check=True)
                 except InputError as error:
-                    notes.append(
-                        f"the interval of {profile.name} ends at {end:g}, but {error.problem}"
-                    )
+                    note = f"the interval of {profile.name} ends at {end:g}, but {error.problem}"
+                    notes.append(note)
         parameters[profile.name] = replace(parameters[profile.name], lower=lower, upper=upper)
     return parameters, notes
 

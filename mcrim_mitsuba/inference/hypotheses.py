@@ -22,13 +22,8 @@ from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import counted, p_equals, probability
 from mcrim_mitsuba.core.run import Provenance, Run
+from mcrim_mitsuba.inference import estimates
 from mcrim_mitsuba.inference.drivers import find_minima
-from mcrim_mitsuba.inference.estimates import (
-    FittedRow,
-    ParameterEstimate,
-    error_of_difference,
-    left_out_error,
-)
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.judgement import AMBIGUOUS, UNEXPLAINED, explains
@@ -71,9 +66,9 @@ class FittedHypothesis:
     #: Among those compared, each as likely as the others before the readings.
     probability: float
     #: The free ones, and the light yield.
-    parameters: dict[str, ParameterEstimate]
+    parameters: dict[str, estimates.ParameterEstimate]
     #: All readings, in the file's order.
-    rows: tuple[FittedRow, ...]
+    rows: tuple[estimates.FittedRow, ...]
 
     #: What it switches on, in words.
     titles: tuple[str, ...] = ()
@@ -123,10 +118,8 @@ def compare_hypotheses(
     parameters = given[0].parameters
     # what is simulated depends on where the coefficients start, and fits do not
     starts = {n: parameters[n].start for n in (ALPHA_SCAT, ALPHA_ABS) if n in parameters}
-    benches = {
-        name: CampaignSimulations(one.with_starts(starts), run)
-        for name, one in zip(NAMES, given, strict=False)
-    }
+    pairs = zip(NAMES, given, strict=False)
+    benches = {name: CampaignSimulations(one.with_starts(starts), run) for name, one in pairs}
     explained, fits = dict[str, Explanations](), dict[str, Calibration]()
     done: PartDoneError | None = None
     for bench in benches.values():
@@ -164,7 +157,7 @@ def side_by_side(
     order = sorted(explained, key=lambda name: -evidences[name].log)
     best = order[0]
     probabilities = dict(zip(evidences, softmax([e.log for e in evidences.values()]), strict=True))
-    noise = {name: error_of_difference(fit, fits[best]) for name, fit in fits.items()}
+    noise = {name: estimates.error_of_difference(fit, fits[best]) for name, fit in fits.items()}
     sampled = {name: each.log_sigma for name, each in evidences.items()}
     errors = {n: math.hypot(sampled[n], sampled[best], 0.5 * noise[n]) for n in fits} | {best: 0.0}
     hypotheses = tuple(
@@ -173,7 +166,7 @@ def side_by_side(
             campaign=fit.statistic.model.campaign.path,
             effects=tuple(explained[name].effects),
             **attributes(results[name], "chi2 ndf p_value parameters rows"),
-            left_out_error=left_out_error(fit),
+            left_out_error=estimates.left_out_error(fit),
             log_evidence=evidences[name].log - evidences[best].log,
             log_evidence_sigma=errors[name],
             probability=float(probabilities[name]),
@@ -188,10 +181,8 @@ def side_by_side(
     verdict, reason = _verdict([named[name] for name in leading], results[best])
     # as they are shown: each with its bench's numbers off as the readings have them
     predicted = np.ptp([[row.model for row in fit.rows] for fit in results.values()], axis=0)
-    apart = {
-        row.label: float(far / row.sigma)
-        for row, far in zip(results[best].rows, predicted, strict=True)
-    }
+    pairs = zip(results[best].rows, predicted, strict=True)
+    apart = {row.label: float(far / row.sigma) for row, far in pairs}
     return SideBySide(verdict, reason, leading, hypotheses, apart)
 
 

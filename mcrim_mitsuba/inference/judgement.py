@@ -193,11 +193,8 @@ class Judgement:
     def named_families(self) -> tuple[str, ...]:
         """Families of which a member is missing as good as surely, the likeliest first."""
         others = (INSTRUMENT, UNKNOWN, NOTHING_MISSING)
-        return tuple(
-            family
-            for family, p in self.weighing.families.items()
-            if p >= self.sure and family not in others
-        )
+        families = self.weighing.families.items()
+        return tuple(family for family, p in families if p >= self.sure and family not in others)
 
     @property
     def light_yield(self) -> AveragedYield | None:

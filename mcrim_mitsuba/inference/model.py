@@ -361,8 +361,7 @@ class ResponseModel:
         for name, reading, reads in self._of_readings:
             # formulas of effects take numbers, and as well a column of them
             size: Any = values[name][:, None]
-            read = reading(signal, size, self._measured)[0]
-            signal = np.where(reads, read, signal)
+            signal = np.where(reads, reading(signal, size, self._measured)[0], signal)
         return signal
 
     def eta_batches(self, theta: Array) -> Array:

@@ -180,13 +180,12 @@ def next_measurements(
         chosen, left = [offers[i] for i in places], bought[places][1]
         # by which a reading would separate explanations that are rivals
         risen = rises[:, list(places)].sum(axis=1)
+        by_pair = zip(rivals, risen, strict=True)
         return NextMeasurement(
             kind=" + ".join(offer.kind for offer in chosen),
             parameters=chosen[0].parameters,
             separates=tuple(
-                (names[a], names[b])
-                for (a, b), rise in zip(rivals, risen, strict=True)
-                if rise >= ADVICE.separated
+                (names[a], names[b]) for (a, b), rise in by_pair if rise >= ADVICE.separated
             ),
             expected_delta_chi2=float(risen.mean()) if len(risen) else 0.0,
             also=chosen[1].parameters if chosen[1:] else None,
@@ -235,9 +234,8 @@ def _offers(
     """
     sigmas = np.broadcast_to(proposals.relative_sigma, len(proposals.configurations))
     offers, states = [], proposals.switched or [[]] * len(sigmas)
-    for parameters, switched, sigma in zip(
-        proposals.configurations, states, sigmas.tolist(), strict=True
-    ):
+    errors = sigmas.tolist()
+    for parameters, switched, sigma in zip(proposals.configurations, states, errors, strict=True):
         set_by_hand = {n: v for n, v in parameters.items() if n not in proposals.switched_by}
         phrases = [configuration_words(set_by_hand, proposals.comments), *switched]
         offers.append(_Offer(READING, ", ".join(filter(None, phrases)), sigma, parameters))
@@ -247,15 +245,8 @@ def _offers(
     for row, reading in enumerate(statistic.model.readings):
         if reading.label in wrong:
             of_beam = {KIND: reading.kind} if reading.of_beam else {}
-            offers.append(
-                _Offer(
-                    REPEAT,
-                    f"reading {reading.label} once more",
-                    reading.sigma / reading.signal,
-                    {**of_beam, **reading.parameters},
-                    row=row,
-                )
-            )
+            words, sigma = f"reading {reading.label} once more", reading.sigma / reading.signal
+            offers.append(_Offer(REPEAT, words, sigma, {**of_beam, **reading.parameters}, row=row))
     for parameter in statistic.free:
         name, sigma = parameter.name, parameter.prior_sigma
         if parameter.prior is not None and sigma is not None:
@@ -420,15 +411,9 @@ def _cloud(
         predicted = proposals.predict(effects, points, rows)
         variance += share * proposals.noise(effects, np.median(points, axis=0), rows) ** 2
         if each.amplitude:  # something without a name
-            predicted = predicted * np.exp(
-                discrepancy_at(
-                    judgement.explanations.fit(effects),
-                    discrepancy,
-                    each.amplitude,
-                    points,
-                    configurations,
-                )
-            )
+            fit = judgement.explanations.fit(effects)
+            added = discrepancy_at(fit, discrepancy, each.amplitude, points, configurations)
+            predicted = predicted * np.exp(added)
         of.append(np.full(len(points), names.index(group_of[each.name])))
         weights.append(np.full(len(points), share / len(points)))
         free = tuple(each.evidence.mean)
@@ -481,7 +466,5 @@ def _likely(judgement: Judgement) -> list[tuple[Hypothesis, float]]:
         parts[group_of[hypothesis.name]] += share
     wholes = {head.name: whole for head, whole in judgement.groups}
     heads = [group_of[hypothesis.name] for hypothesis, _ in likely]
-    return [
-        (hypothesis, share * wholes[head] / parts[head])
-        for (hypothesis, share), head in zip(likely, heads, strict=True)
-    ]
+    pairs = zip(likely, heads, strict=True)
+    return [(hypothesis, share * wholes[head] / parts[head]) for (hypothesis, share), head in pairs]

@@ -313,8 +313,7 @@ def _rehearsed(planning: Planning, proposed: Campaign, fit: Calibration, run: Ru
         # readings and priors as the solution predicts them: there is nothing to be explained
         statistic = Statistic(models.model())
         theta = statistic.theta(fit.values)
-        signal = statistic.model.predict(theta).signal[statistic.used]
-        exact = statistic.against(signal, theta)
+        exact = statistic.against(statistic.model.predict(theta).signal[statistic.used], theta)
         explanations = Explanations(models.model, possible, settle(exact, theta))
         tried = [name for name in possible if explanations.possible((name,))]
         null = NullDistribution(explanations, tried, run.seed)
@@ -461,9 +460,8 @@ class Expectation:
         origins = (*(PRIOR + name for name in fit.names), *numbers)
         # by origin, (rows, free + numbers) d known / d parameter, in standard errors of what is
         # known, independent of each other
-        self._known = {
-            origin: row[None] for origin, row in zip(origins, priors, strict=True) if row.any()
-        }
+        pairs = zip(origins, priors, strict=True)
+        self._known = {origin: row[None] for origin, row in pairs if row.any()}
         # transmittances are not measured again: what they told goes on, like priors
         beams = np.array([reading.of_beam for reading in fit.model.readings if reading.use])
         errors, none = fit.minimum.weights.errors, np.zeros((len(beams), 0))

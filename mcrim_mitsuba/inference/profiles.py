@@ -76,9 +76,8 @@ def crossings(
             outer = inner + outward.step
             if curve is not None and heights[outer] >= height:
                 fine = min(2e-12, 1e-6 * abs(x[outer] - x[inner]))
-                return float(
-                    brentq(lambda at: float(curve(at)) - height, x[inner], x[outer], xtol=fine)
-                )
+                place = brentq(lambda at: float(curve(at)) - height, x[inner], x[outer], xtol=fine)
+                return float(place)
         return None
 
     return crossing(range(lowest, 0, -1)), crossing(range(lowest, len(x) - 1))
@@ -150,10 +149,8 @@ class ProfileWalk:
         # where the others were best, by this one's coordinate, and chi2's curvature there
         self._followed = {start: (coordinates, solution.curvature)}
         curvature = float(inverse(solution.curvature)[self.place, self.place]) ** -1
-        sides = [
-            self._side(start, wall, curvature)
-            for wall in (float(end[self.place]) for end in (statistic.low, statistic.high))
-        ]
+        walls = (float(end[self.place]) for end in (statistic.low, statistic.high))
+        sides = [self._side(start, wall, curvature) for wall in walls]
         middle = (start, 0.0, 2.0 * float(solution.gradient[self.place]))
         #: (points, 3) float64: Coordinates, ascending, rises of chi2 and their slopes.
         self.points = np.array([*sides[0][::-1], middle, *sides[1]])

@@ -116,17 +116,16 @@ def wrong_readings(frame: BaselineFrame, suspicions: Mapping[str, WrongRows]) ->
             origins, slopes = slopes, origins
             log_scales, log_scale_slopes = log_scale_slopes, log_scales
         odds = RIVALS.bad_odds if lone else RIVALS.swapped_odds
-        causes.append(
-            Cause(
-                name=name,
-                log_odds=math.log(odds / ways.get(wrong.kind, kinds[wrong.kind])),
-                log_weights=np.full(len(sizes), -math.log(len(sizes))),
-                origins=origins,
-                slopes=slopes,
-                log_scales=log_scales,
-                log_scale_slopes=log_scale_slopes,
-            )
+        cause = Cause(
+            name=name,
+            log_odds=math.log(odds / ways.get(wrong.kind, kinds[wrong.kind])),
+            log_weights=np.full(len(sizes), -math.log(len(sizes))),
+            origins=origins,
+            slopes=slopes,
+            log_scales=log_scales,
+            log_scale_slopes=log_scale_slopes,
         )
+        causes.append(cause)
     return causes
 
 
@@ -195,8 +194,7 @@ def frame_beside(explanations: Explanations, frame: BaselineFrame) -> BaselineFr
         return None
     theta = min(free, key=lambda minimum: minimum.deviance).theta
     weights = Weights(own.errors_at(theta))
-    chi2 = own.chi2(theta, weights)
-    return BaselineFrame(Minimum.at(own, theta, chi2, weights, converged=True))
+    return BaselineFrame(Minimum.at(own, theta, own.chi2(theta, weights), weights, converged=True))
 
 
 def _usual(explanations: Explanations, effect: str, frame: BaselineFrame) -> Array:
@@ -252,10 +250,8 @@ def _correlation(statistic: Statistic, further: Sequence[Mapping[str, Value]] = 
     light = [i for i, (_, of_beam) in enumerate(rows) if not of_beam]
     read = sum(i < len(readings) for i in light)
     squared_distance = np.zeros((len(light), len(light)))
-    names = {n for i in light[:read] for n in rows[i][0]}
-    for name in sorted(names):
-        cells = [rows[i][0].get(name, values.get(name)) for i in light]
-        places = _places(name, cells, read)
+    for name in sorted({n for i in light[:read] for n in rows[i][0]}):
+        places = _places(name, [rows[i][0].get(name, values.get(name)) for i in light], read)
         squared_distance += np.subtract.outer(places, places) ** 2
     correlation = np.eye(len(rows))
     correlation[np.ix_(light, light)] = np.exp(-0.5 * squared_distance / DISCREPANCY.length**2)

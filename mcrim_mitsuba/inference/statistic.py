@@ -257,9 +257,8 @@ class Statistic:
         self._mountings = np.unique(groups, return_inverse=True)[1]
         #: (free,) The weight is 1 / sigma^2; both are 0 without a prior.
         self.prior = np.array([0.0 if p.prior is None else p.prior for p in self.free])
-        self.prior_weight = np.array(
-            [0.0 if p.prior_sigma is None else p.prior_sigma**-2 for p in self.free]
-        )
+        weights = [0.0 if p.prior_sigma is None else p.prior_sigma**-2 for p in self.free]
+        self.prior_weight = np.array(weights)
         self._priors = np.flatnonzero(self.prior_weight)
         self._prior_roots = np.sqrt(self.prior_weight[self._priors])
         self._prior_rows = np.zeros((1 + len(self.free), len(self._priors)))
@@ -390,8 +389,7 @@ class Statistic:
         range is near enough then.
         """
         close = LINEAR.at_bound / math.sqrt(curvature) if curvature > 0 else 0.0
-        width = self.free[place].maximum - self.free[place].minimum
-        close = min(close, LINEAR.at_bound * width)
+        close = min(close, LINEAR.at_bound * (self.free[place].maximum - self.free[place].minimum))
         at_minimum = value - self.free[place].minimum <= close
         at_maximum = self.free[place].maximum - value <= close
         if at_minimum and at_maximum:

@@ -19,6 +19,7 @@ from scipy.special import ndtr, softmax
 from mcrim_mitsuba.campaign.parameter import SCALE, LightYieldInput
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.rounding import number, pdg, probability
+from mcrim_mitsuba.inference import rehearsal, rival_causes
 from mcrim_mitsuba.inference.closed_form import (
     MOST_CAUSES,
     Indices,
@@ -31,23 +32,6 @@ from mcrim_mitsuba.inference.displacement import BaselineFrame, NullDistribution
 from mcrim_mitsuba.inference.drivers import Minimum, settle
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING, Evidence, evidence_of, log_sum
 from mcrim_mitsuba.inference.explanations import Explanations
-from mcrim_mitsuba.inference.rehearsal import (
-    QUANTILES,
-    Design,
-    Mixture,
-    of_instrument,
-    quantile,
-    widening,
-)
-from mcrim_mitsuba.inference.rival_causes import (
-    UNDERSTATED,
-    UNKNOWN,
-    DiscrepancyModel,
-    frame_beside,
-    surroundings,
-    suspicious,
-    wrong_readings,
-)
 from mcrim_mitsuba.inference.settings import HYPOTHESES, RIVALS
 
 #: All hypotheses that are too unlikely to be listed.
@@ -146,7 +130,7 @@ class Weighing:
     #: Of a larger misfit than that of the readings, whichever hypothesis is true.
     p_value: float
     #: What they are weighed with.
-    design: Design
+    design: rehearsal.Design
     #: Factors on the intervals of ln(scale) that hold 68 % and 95 %, by rehearsals.
     widening: tuple[float, float] = (1.0, 1.0)
 
@@ -163,10 +147,9 @@ class Weighing:
         )
 
     @property
-    def mixture(self) -> Mixture:
+    def mixture(self) -> rehearsal.Mixture:
         """Of ln(scale / that of the baseline), a Gaussian for each hypothesis."""
-        scales = [(h.log_scale, h.log_scale_sigma) for h in self.hypotheses]
-        means, sigmas = np.array(scales).T
+        means, sigmas = np.array([(h.log_scale, h.log_scale_sigma) for h in self.hypotheses]).T
         return self.shares, means, sigmas
 
     def probability(self, holds: Callable[[Hypothesis], bool]) -> float:
@@ -183,20 +166,14 @@ class Weighing:
         _, means, sigmas = self.mixture
         efficiency = known.relative_sigma
         unnamed = np.array([h.amplitude > 0.0 for h in self.hypotheses])
-        middle = quantile(self.shares, means, sigmas, 0.5)
+        middle = rehearsal.quantile(self.shares, means, sigmas, 0.5)
         factor_68, factor_95 = self.widening
         # all that the efficiency does is common to all hypotheses, and is not widened
-        ends = [
-            quantile(
-                self.shares,
-                middle + factor * (means - middle),
-                np.hypot(factor * sigmas, efficiency),
-                part,
-            )
-            for part, factor in zip(
-                QUANTILES, (factor_95, factor_68, 1.0, factor_68, factor_95), strict=True
-            )
-        ]
+        factors = factor_95, factor_68, 1.0, factor_68, factor_95
+        ends = []
+        for part, factor in zip(rehearsal.QUANTILES, factors, strict=True):
+            wider = middle + factor * (means - middle), np.hypot(factor * sigmas, efficiency)
+            ends.append(rehearsal.quantile(self.shares, *wider, part))
         lower_95, lower, value, upper, upper_95 = (known.per_scale * scale * np.exp(ends)).tolist()
         # parts as those of the variance, but no part is farther away than 95 % of all
         reach = max(ends[4] - ends[2], ends[2] - ends[0])
@@ -247,18 +224,18 @@ class _Weigher:
     """Sets in closed form, of which one after the other gets its own evidence."""
 
     def __init__(self, explanations: Explanations, null: NullDistribution) -> None:
-        self._explanations, self._surroundings = explanations, surroundings()
-        self._readings = suspicious(null.frame)
+        self._explanations, self._surroundings = explanations, rival_causes.surroundings()
+        self._readings = rival_causes.suspicious(null.frame)
         self._frame, curves = null.frame, null.curves
-        beside = frame_beside(explanations, null.frame)
+        beside = rival_causes.frame_beside(explanations, null.frame)
         if beside is not None:
             self._frame = beside
             curves = {name: curve_of(explanations, name, beside) for name in null.curves}
         self._effects = tuple(curves)
-        self._discrepancy = DiscrepancyModel(explanations, self._frame)
+        self._discrepancy = rival_causes.DiscrepancyModel(explanations, self._frame)
         self._covariance = self._discrepancy.covariance()
         causes = [cause_of(explanations, name, curve) for name, curve in curves.items()]
-        causes += wrong_readings(self._frame, self._readings)
+        causes += rival_causes.wrong_readings(self._frame, self._readings)
         self._log_odds_of = {cause.name: cause.log_odds for cause in causes}
         # which two causes cannot be there together
         readings = [set(wrong.rows) for wrong in self._readings.values()]
@@ -272,7 +249,7 @@ class _Weigher:
             for j, other_row in enumerate(readings):
                 excluded[count + i, count + j] = i != j and bool(one_row & other_row)
         self._excluded = excluded
-        self.design = Design(
+        self.design = rehearsal.Design(
             frame=self._frame,
             curves=curves,
             causes=tuple(causes),
@@ -322,10 +299,8 @@ class _Weigher:
         """Effects around whose own fit sets are to be weighed, the likeliest first."""
         weights = {name: self._log_weights[self.place_of((name,))] for name in self._effects}
         least = max(weights.values(), default=0.0) + math.log(HYPOTHESES.centred)
-        names = sorted(
-            (name for name, weight in weights.items() if weight > max(least, 0.0)),
-            key=lambda name: -weights[name],
-        )
+        likely = (name for name, weight in weights.items() if weight > max(least, 0.0))
+        names = sorted(likely, key=lambda name: -weights[name])
         return names[: HYPOTHESES.most_centres]
 
     def centre_on(self, effect: str) -> None:
@@ -339,7 +314,7 @@ class _Weigher:
                 curve = curve_of(explanations, other, frame, (effect,))
                 causes.append(cause_of(explanations, other, curve))
                 others.append(i)
-        causes += wrong_readings(frame, self._readings)
+        causes += rival_causes.wrong_readings(frame, self._readings)
         others += range(len(self._effects), len(self._excluded))
         sets = weigh_sets(
             causes,
@@ -485,8 +460,8 @@ class _Weigher:
         """A set by its closed form."""
         names, around = self.sets.names(place), self.sets.surroundings[self.sets.within[place]]
         besides = [name for name in names if name in self._readings]
-        besides += [UNKNOWN] if around.amplitude > 0.0 else []
-        besides += [UNDERSTATED] if around.error_factor != 1.0 else []
+        besides += [rival_causes.UNKNOWN] if around.amplitude > 0.0 else []
+        besides += [rival_causes.UNDERSTATED] if around.error_factor != 1.0 else []
         return Hypothesis(
             effects=tuple(name for name in names if name not in self._readings),
             besides=tuple(besides),
@@ -522,11 +497,11 @@ class _Weigher:
             p_value=_p_value(hypotheses, kept),
             design=self.design,
         )
-        factors = widening(
+        factors = rehearsal.widening(
             self.design,
             weighing.mixture,
             float(shares[~self._with_effect & (self.sets.amplitudes > 0.0)].sum()),
-            float(shares[of_instrument(self.sets, len(self._effects))].sum()),
+            float(shares[rehearsal.of_instrument(self.sets, len(self._effects))].sum()),
         )
         return replace(weighing, widening=factors)
 
@@ -538,9 +513,8 @@ class _Weigher:
             family = self._explanations.effects[name].family
             held = (self._members == i).any(axis=0)
             members[family] = members.get(family, np.zeros(len(shares), bool)) | held
-        wrong = (self._members >= count).any(axis=0)
-        members[INSTRUMENT] = wrong | (sets.error_factors != 1.0)
-        members[UNKNOWN] = sets.amplitudes > 0.0
+        members[INSTRUMENT] = (self._members >= count).any(axis=0) | (sets.error_factors != 1.0)
+        members[rival_causes.UNKNOWN] = sets.amplitudes > 0.0
         families = {family: float(shares[held].sum()) for family, held in members.items()}
         families[NOTHING_MISSING] = float(shares[self.place_of(())])
         return dict(sorted(families.items(), key=lambda item: -item[1]))
@@ -573,10 +547,9 @@ class _Weigher:
 
 def _p_value(hypotheses: Iterable[Hypothesis], shares: Array) -> float:
     """Of a larger misfit than that of the readings, averaged over hypotheses that were fitted."""
+    pairs = zip(hypotheses, shares.tolist(), strict=True)
     fitted = [
-        (share, hypothesis.p_value)
-        for hypothesis, share in zip(hypotheses, shares.tolist(), strict=True)
-        if hypothesis.p_value is not None
+        (share, hypothesis.p_value) for hypothesis, share in pairs if hypothesis.p_value is not None
     ]
     total = sum(share for share, _ in fitted)
     return sum(share * p for share, p in fitted) / total if total > 0.0 else 1.0

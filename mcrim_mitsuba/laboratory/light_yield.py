@@ -179,10 +179,9 @@ def light_yield_by_reference(
     """Eq. 7, the relative method: a sample against a scintillator of known yield.
 
     Both are measured at the same energy, which cancels, and so do the errors that sample and
-    reference have in common: the tube's scale in both detector efficiencies, the bench's
-    geometry in both light collection efficiencies. Arguments are those of
-    `light_yield_ph_per_keV`, first of the sample and then of the reference; the yield has the
-    unit of `reference_yield`.
+    reference have in common: the tube's scale in both detector efficiencies, the bench's geometry
+    in both light collection efficiencies. Arguments are those of `light_yield_ph_per_keV`, first of
+    the sample and then of the reference; the yield has the unit of `reference_yield`.
 
     Raises InputError if an argument is not above 0.
     """

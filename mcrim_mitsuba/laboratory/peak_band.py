@@ -194,8 +194,7 @@ def fit_band(
     else:
         lowest, narrowest, widest = max(values[0], 1e-3), 0.0, np.ptp(values) ** 2
     emptiest = 0.0 if variances is None else -np.inf
-    none = [0.0] * (1 + len(lines))
-    least = np.array([0.0, lowest, narrowest, emptiest, emptiest, *none])
+    least = np.array([0.0, lowest, narrowest, emptiest, emptiest, *[0.0] * (1 + len(lines))])
     most = np.array([np.inf, values[-1], widest, *[np.inf] * (3 + len(lines))])
     asked = np.array([True] * 5 + [below.step, *(line.share is None for line in lines)])
     begin, held = np.array([*start, 0.0, *shares]), np.flatnonzero(~asked).tolist()

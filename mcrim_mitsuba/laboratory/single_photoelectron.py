@@ -287,8 +287,7 @@ def _result(fit, edges: Array, counts: Array, numbers: int) -> SinglePhotoelectr
     """What a fit says."""
     value, covariance = dict(zip(fit.parameters, fit.values, strict=True)), fit.covariance
     gain, lam, spread = value["gain"], value["lam"], value["spread"]
-    expected = np.diff(_cumulative(edges, tuple(fit.values), numbers))
-    chi2, groups = _judged(counts, expected)
+    chi2, groups = _judged(counts, np.diff(_cumulative(edges, tuple(fit.values), numbers)))
     ndf = groups - fit.nfit
     p_value = float(chdtrc(ndf, chi2)) if ndf > 0 else None
     bad = p_value is not None and p_value < LEAST_P

@@ -345,10 +345,9 @@ def _notes_on_errors(
     if readings_sigma > 0 or whole < (1 + _WORTH_SAYING) * sigma_per_cm:
         return []
     return [
-        "errors of the transmittance's points are taken as independent, "
-        f"{part_per_cm:.2g} /cm together; if all points share them they are worth "
-        f"{shared_per_cm:.2g} /cm: then state that as the error of all readings "
-        "(transmittance_sigma, --sigma)"
+        f"errors of the transmittance's points are taken as independent, {part_per_cm:.2g} /cm "
+        f"together; if all points share them they are worth {shared_per_cm:.2g} /cm: then state "
+        "that as the error of all readings (transmittance_sigma, --sigma)"
     ]
 
 

@@ -27,8 +27,7 @@ class IndexOverBand:
     material: Material
     #: Weighted mean; of a birefringent crystal that of (2 n_o + n_e) / 3.
     mean: float
-    #: Standard deviation of the index over the band: a property of the light, no error of the
-    #: mean.
+    #: Standard deviation of the index over the band: a property of the light, no error of the mean.
     spread: float
     ordinary_mean: float
     _: KW_ONLY

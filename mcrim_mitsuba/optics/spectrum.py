@@ -25,8 +25,7 @@ class _Interpolation:
     def __init__(self, points: Array, places: Array) -> None:
         self._count = points.size
         self._left = np.clip(np.searchsorted(points, places, side="right") - 1, 0, points.size - 2)
-        step = points[self._left + 1] - points[self._left]
-        self._share = (places - points[self._left]) / step
+        self._share = (places - points[self._left]) / (points[self._left + 1] - points[self._left])
 
     def at(self, values: Array) -> Array:
         """Values at the places, from those at the grid's points: the matrix times these."""

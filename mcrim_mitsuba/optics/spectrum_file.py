@@ -404,9 +404,8 @@ def photons_over_emission(
     title = " ".join(filter(None, (table.names[value] if table.names else "", table.units[value])))
     over = _OVER_LENGTH, _OVER_ENERGY
     right, wrong = over[::-1] if over_energy else over
-    densities = [
-        text for text in (title, *table.comments) if right.search(text) or wrong.search(text)
-    ]
+    words = title, *table.comments
+    densities = [text for text in words if right.search(text) or wrong.search(text)]
     if densities and not right.search(densities[0]):
         problem = f"'{densities[0]}' is not per unit of the table's wavelengths or energies"
         raise table.refusal(None, value, problem, "give both in nm and per nm, or both in eV")

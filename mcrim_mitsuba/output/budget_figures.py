@@ -227,10 +227,8 @@ def _rows(budget: Budget, names: list[str]) -> list[_BudgetRow]:
     total_bars = {n: (length, f"{number(length)} %") for n, length in totals.items()}
     rows = [*contributions.values(), _BudgetRow("total", TOTAL, total_bars)]
     # corrections last; `pieces` has among them all corrections at once
-    for piece in (
-        *(p for p in budget.neglected if not p.correction),
-        *(p for p in budget.pieces if p.correction),
-    ):
+    corrections = (p for p in budget.pieces if p.correction)
+    for piece in (*(p for p in budget.neglected if not p.correction), *corrections):
         bars = {}
         for name, shift in piece.refitted.items():
             if shift.before and piece.correction:

@@ -137,8 +137,7 @@ class SectionAxes:
                 text = f"{face.name}: {kind}, {100 * face.reflectance:.3g} %"
                 # paint lies outside of the face that wears it
                 far = trace.points[::-1] + band * (-trace.back if surface.painted else trace.back)
-                outline = np.vstack([trace.points, far])
-                self.fill(outline, fc="white", ec=INK, hatch="/" * 6, lw=0)
+                self.fill(np.vstack([trace.points, far]), fc="white", ec=INK, hatch="/" * 6, lw=0)
                 self.line(far, "none", 0.0)
             if kind != "dielectric":
                 self.named.setdefault(text, []).append(trace.points)
@@ -229,10 +228,8 @@ class SectionAxes:
     def label(self, brief: bool = False) -> None:
         """Name everything in view: volumes inside if there is room, all else beside by a leader."""
         # texts, cells that a leader may point to, and the volume that it may go through
-        beside = [
-            ([text], np.vstack([*map(self.cells_of, lines)]), 0)
-            for text, lines in self.named.items()
-        ]
+        named = self.named.items()
+        beside = [([text], np.vstack([*map(self.cells_of, lines)]), 0) for text, lines in named]
         for volume in sorted({region.volume for region in self.cut.regions}):
             texts, inside = self.texts(volume, brief), self.owner == volume
             if not self.place(texts, np.argwhere(inside)[:, ::-1], volume):

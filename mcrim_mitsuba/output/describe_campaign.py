@@ -499,8 +499,7 @@ def others_table(diagnosis: Diagnosis, simulated: Calibration, effects: tuple[st
 
 def _brief(effects: Table, diagnosis: Diagnosis) -> Iterator[Piece]:
     """A table of effects, ids in its last column, of which likely ones are seen; how many not."""
-    ranked = sentences.likeliest_first(diagnosis, diagnosis.candidates)
-    unlikely = ranked[sentences.MOST_EFFECTS :]
+    unlikely = sentences.likeliest_first(diagnosis, diagnosis.candidates)[sentences.MOST_EFFECTS :]
     unlikely += sentences.likeliest_first(diagnosis, diagnosis.pairs)[sentences.MOST_PAIRS :]
     leading = {candidate.effect for candidate in sentences.leading_candidates(diagnosis)}
     hidden = {candidate.effect for candidate in unlikely} - leading

@@ -97,13 +97,10 @@ class Table:
     def seen(self) -> Table:
         """What people are shown of it."""
         seen = [not column.hidden for column in self.columns]
+        parts = ([line for line in lines if not line.hidden] for lines in (self.rows, self.sums))
         rows, sums = (
-            tuple(
-                replace(line, cells=tuple(compress(line.cells, seen)))
-                for line in lines
-                if not line.hidden
-            )
-            for lines in (self.rows, self.sums)
+            tuple(replace(line, cells=tuple(compress(line.cells, seen))) for line in lines)
+            for lines in parts
         )
         return Table(self.title, tuple(compress(self.columns, seen)), rows, sums)
 

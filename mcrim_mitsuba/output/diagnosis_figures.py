@@ -64,14 +64,13 @@ _LEAST_GAIN = 4.0
 _LOSSES = 0.6
 #: Of a candidate, columns of the CSV.
 _STATISTICS = (
-    *"delta_chi2 delta_chi2_sigma chi2 ndf".split(),
-    *"p_value p_gain p_global behind aicc left_out_error".split(),
+    "delta_chi2 delta_chi2_sigma chi2 ndf p_value p_gain p_global behind aicc left_out_error"
 )
 
 
 def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
     """A row for each parameter of each effect, or for an effect without; then what is no effect."""
-    leading, statistics = leading_candidates(diagnosis), attrgetter(*_STATISTICS)
+    leading, statistics = leading_candidates(diagnosis), attrgetter(*_STATISTICS.split())
     no_size: list[tuple] = [(None, None, None)]
     rows = [
         (
@@ -89,11 +88,8 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
         for candidate in likeliest_first(diagnosis, tried)
         for size in [(n, e.value, e.sigma) for n, e in candidate.sizes.items()] or no_size
     ]
-    columns = (
-        *"effect leading probability".split(),
-        *_STATISTICS,
-        *"parameter value sigma plausible at_bound light_yield_ph_per_keV mimics".split(),
-    )
+    of_size = "parameter value sigma plausible at_bound light_yield_ph_per_keV mimics"
+    columns = f"effect leading probability {_STATISTICS} {of_size}".split()
     # these have a name and a probability alone
     probabilities, empty = diagnosis.probabilities, [None] * (len(columns) - 3)
     others = (name for name in NO_EFFECTS if name in probabilities)

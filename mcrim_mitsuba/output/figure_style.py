@@ -108,8 +108,7 @@ def open_axes(axes: Axes, lines: Lines = "both") -> None:
 def legend(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) -> None:
     """A legend without a frame, labels of users as they are; by default of all that has a label."""
     entries = {} if handles is None else {"handles": handles}
-    box = axes.legend(**entries, **{"fontsize": 9.5, "frameon": False} | options)
-    for text in box.get_texts():
+    for text in axes.legend(**entries, **{"fontsize": 9.5, "frameon": False} | options).get_texts():
         text.set_parse_math(False)
 
 

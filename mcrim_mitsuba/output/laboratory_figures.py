@@ -406,9 +406,8 @@ def draw_raw_data(raw: RawData, kind: str) -> style.Drawing:
     if kind == "transmittance":
         assert raw.absorption is not None
         return draw_absorption(raw.absorption)
-    histograms = [
-        _fitted(label, m) for label, reading in raw.readings.items() for m in reading.mountings
-    ]
+    readings = raw.readings.items()
+    histograms = [_fitted(label, m) for label, reading in readings for m in reading.mountings]
     shown = histograms
     if len(histograms) > MOST_HISTOGRAMS:
         shown = [_fitted(label, reading.mountings[0]) for label, reading in raw.readings.items()]
@@ -488,9 +487,8 @@ def draw_widths(widths: Mapping[str, Sequence[WidthParts]]) -> style.Drawing:
     ]
     style.rows_of_bars(axes, names, parse_math=False, fontsize=9.5)
     axes.set(xlim=(0.0, longest), xlabel="share of the peak's variance (%)")
-    handles = [
-        Patch(fc=fill, ec="#222222", lw=0.8, label=words) for words, fill, _ in _OF_WIDTHS.values()
-    ]
+    looks = _OF_WIDTHS.values()
+    handles = [Patch(fc=fill, ec="#222222", lw=0.8, label=words) for words, fill, _ in looks]
     style.legend_of(figure, handles, "upper center", 3, handlelength=1.8)
     columns, table = ["histogram", "gammas_stop"], [[name, parts.source] for name, parts in rows]
     for origin in ("total", *_OF_WIDTHS):

@@ -406,10 +406,9 @@ def lines_of_table(axes: Mapping[str, Sequence[Value]]) -> tuple[str, list[str],
     others = [name for name in axes if name != along]
     lines = math.prod(len(axes[name]) for name in others)
     if not along or lines > MOST_LINES:
-        raise InputError(
-            f"a figure of {lines} lines would tell nothing" if along else "nothing varies",
-            f"choose values of {', '.join(others)}: to_xarray() has all" if along else "print it",
-        )
+        problem = f"a figure of {lines} lines would tell nothing" if along else "nothing varies"
+        mend = f"choose values of {', '.join(others)}: to_xarray() has all" if along else "print it"
+        raise InputError(problem, mend)
     return along, others, lines
 
 

@@ -23,18 +23,12 @@ from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.effect import modules_of
 from mcrim_mitsuba.efficiency.lighting import Light, follow_light
+from mcrim_mitsuba.inference import repair
 from mcrim_mitsuba.inference.budget import errors_of
 from mcrim_mitsuba.inference.corrections import fitted
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.next_measurements import READING, NextMeasurement
 from mcrim_mitsuba.inference.profiles import Profile
-from mcrim_mitsuba.inference.repair import (
-    Repaired,
-    mended_files,
-    mended_scene,
-    remarks_on,
-    scene_text,
-)
 from mcrim_mitsuba.output import photograph
 from mcrim_mitsuba.output.cross_section import cross_section_figure
 from mcrim_mitsuba.output.registry import encoded, fields_of
@@ -56,7 +50,7 @@ Stage = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Sections(Repaired):
+class Sections(repair.Repaired):
     """A campaign from its readings to its result: what was found, and what was done about it."""
 
     #: Of every reading's configuration.
@@ -117,7 +111,7 @@ class Sections(Repaired):
 
 
 def gather(
-    repaired: Repaired, *, command: str, made: datetime, chosen_by_hand: bool, stage: Stage
+    repaired: repair.Repaired, *, command: str, made: datetime, chosen_by_hand: bool, stage: Stage
 ) -> Sections:
     """Gather what a report tells of a mended campaign; ``stage(what)`` is called on the way.
 
@@ -130,7 +124,7 @@ def gather(
     lacking = [name for name in campaign.effects if not catalogue[name].is_in(campaign.scene)]
     values = {name: estimate.value for name, estimate in calibration.parameters.items()}
     values = {**calibration.fixed, **values}
-    scene = mended_scene(campaign, (*lacking, *repaired.effects), values)
+    scene = repair.mended_scene(campaign, (*lacking, *repaired.effects), values)
     stage("profile likelihoods")
     profiles = calibration.profiles
     stage("picture of the bench")
@@ -149,7 +143,7 @@ def gather(
     to_build = next(of_light, None)
     next_bench = None
     if to_build and drawn is None:  # nobody builds what is suspected
-        next_bench = _drawn(mended_scene(campaign, lacking, values), to_build, run)
+        next_bench = _drawn(repair.mended_scene(campaign, lacking, values), to_build, run)
     return Sections(
         **fields_of(repaired),
         efficiencies=efficiencies(calibration),
@@ -170,7 +164,7 @@ def gather(
 
 
 def _behind_pictures(
-    repaired: Repaired, sources: Sequence[SourceFile], chosen_by_hand: bool
+    repaired: repair.Repaired, sources: Sequence[SourceFile], chosen_by_hand: bool
 ) -> dict[str, object]:
     """All that the pictures depend on, as a cache's key."""
     run = repaired.simulations.run
@@ -224,18 +218,16 @@ def _couplings(campaign: Campaign) -> list[Reading]:
     return [ordered[place] for place in places.round().astype(int)]
 
 
-def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
+def _mended(campaign: Campaign, repaired: repair.Repaired) -> tuple[SourceFile, ...]:
     """Campaign and scene with the effects that were added, as changes of the files; or none."""
     if not repaired.effects:
         return ()
     target = campaign.path.with_name(f"{campaign.path.stem}_mended.toml")
-    remarks = remarks_on(repaired.diagnosis, repaired.effects)
-    scene, text = mended_files(campaign, repaired.fit, target, remarks)
+    remarks = repair.remarks_on(repaired.diagnosis, repaired.effects)
+    scene, text = repair.mended_files(campaign, repaired.fit, target, remarks)
     old, name = campaign.scene, target.with_suffix(".xml").name
-    return (
-        changed("campaign", campaign.path.name, campaign.text, target.name, text),
-        changed("scene", old.path.name, scene_text(old), name, scene_text(scene)),
-    )
+    bench = changed("scene", old.path.name, repair.scene_text(old), name, repair.scene_text(scene))
+    return changed("campaign", campaign.path.name, campaign.text, target.name, text), bench
 
 
 # The ratio of two signals, and the efficiency of every reading.
@@ -270,8 +262,7 @@ def ratio_curve(fit: Calibration) -> RatioOfSignals | None:
     if pair is None or ALPHA_SCAT not in fit.names:
         return None
     first, second = pair
-    readings = model.campaign.measurements.readings
-    rows = [readings.index(reading) for reading in pair]
+    rows = [model.campaign.measurements.readings.index(reading) for reading in pair]
     index = fit.names.index(ALPHA_SCAT)
     theta = fit.theta.copy()
     solution, bounds = float(theta[index]), model.free[index]

@@ -438,8 +438,7 @@ def quality(comparison: Comparison | Calibration) -> str:
             f"{words}the readings determine the parameters, but say nothing about whether the "
             "model is right"
         )
-    spread = math.sqrt(2.0 * ndf)
-    expected = f"{ndf} ± {spread:.1f} is expected (ndf = {ndf})"
+    expected = f"{ndf} ± {math.sqrt(2.0 * ndf):.1f} is expected (ndf = {ndf})"
     words = f"chi2 = {chi2} where {expected}, {p_equals(comparison.p_value)}: "
     if fails(comparison):
         return words + "the model does not describe the readings"
@@ -522,10 +521,8 @@ def shapes(profiles: Iterable[Profile]) -> list[str]:
         interval = [bound if end is None else end for end, bound in zip(ends, bounds, strict=True)]
         parabola = [profile.value + sign * _SIGMAS_95 * profile.sigma for sign in (-1, 1)]
         widths = [abs(end - profile.value) / (_SIGMAS_95 * profile.sigma) for end in interval]
-        if any(
-            width > far or (width < near and end is not None)
-            for width, end in zip(widths, ends, strict=True)
-        ):
+        pairs = zip(widths, ends, strict=True)
+        if any(width > far or (width < near and end is not None) for width, end in pairs):
             real, of_sigma = (
                 " to ".join(value_of(pdg(end, profile.sigma)) for end in pair)
                 for pair in (interval, parabola)
@@ -742,10 +739,9 @@ def _forbidden(planning: Planning, couplings: tuple[int, ...], floor: ExpectedEr
 def _not_among_these(planning: Planning) -> str:
     """That more statistics would do: the most precise plan, and what of it to improve first."""
     least = min(planning.plans, key=lambda p: p.light_yield.total)
+    parts = least.light_yield.parts.items()
     parts_of_plan = {
-        origin: part
-        for origin, part in least.light_yield.parts.items()
-        if origin in STATISTICAL or origin.startswith(PRIOR)
+        origin: part for origin, part in parts if origin in STATISTICAL or origin.startswith(PRIOR)
     }
     largest = max(parts_of_plan, key=parts_of_plan.__getitem__)
     more = _digits_apart(planning.wanted, least.light_yield.total)

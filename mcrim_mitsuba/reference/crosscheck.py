@@ -138,13 +138,9 @@ def _row(
         sigma_b = reference.budget_sigma.get(quantity, 0.0)
     counted = reference.counts.get("detected" if quantity == "eta" else quantity, 0)
     few = max(a * reference.photons, counted) < FEWEST_COUNTS
+    z = None if few else (a - b) / math.hypot(sigma_a, sigma_b)
     row = CrosscheckRow(
-        quantity=quantity,
-        mitsuba=a,
-        mitsuba_sigma=sigma_a,
-        numpy=b,
-        numpy_sigma=sigma_b,
-        z=None if few else (a - b) / math.hypot(sigma_a, sigma_b),
+        quantity=quantity, mitsuba=a, mitsuba_sigma=sigma_a, numpy=b, numpy_sigma=sigma_b, z=z
     )
     # what all programs call the same
     if solved is None or quantity not in ("eta", "absorbed_crystal"):

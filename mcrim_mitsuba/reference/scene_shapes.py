@@ -239,8 +239,7 @@ def _chamfers(shape: Properties, matrix: Floats) -> list[Face]:
         corners = np.zeros((6, 3))
         for i, inset in enumerate((*insets, *insets[::-1])):
             corners[i, axes] = np.array([*sign, 1.0 if i > 2 else -1.0]) * (half[axes] - inset)
-        outwards = corners.mean(axis=0)
-        if np.cross(corners[1] - corners[0], corners[2] - corners[0]) @ outwards < 0.0:
+        if np.cross(corners[1] - corners[0], corners[2] - corners[0]) @ corners.mean(axis=0) < 0.0:
             corners = corners[::-1]
         faces.append(polygon(_moved(matrix, _up(corners, half[2]))))
     return faces
@@ -320,8 +319,7 @@ def _polygon(shape: Properties, matrix: Floats) -> list[Face]:
 def _prism_sides(shape: Properties, matrix: Floats) -> list[Face]:
     sides, width = int(shape.number("sides", 4)), shape.number("width")
     top_width = shape.number("top_width", width)
-    top = _up(_regular(sides, top_width), shape.number("height"))
-    walls = _prism(_regular(sides, width), top)
+    walls = _prism(_regular(sides, width), _up(_regular(sides, top_width), shape.number("height")))
     return [polygon(_moved(matrix, wall if top_width else wall[:3])) for wall in walls]
 
 

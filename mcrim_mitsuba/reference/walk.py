@@ -476,5 +476,4 @@ def follow(tables, birth, rng, seed, number, most_flights, polarised, records):
     """Follow photons from a `number` on: fill a `HISTORY` of zeros for each."""
     for i in range(len(records)):
         seed_photon(rng, seed, number + np.uint64(i))
-        fate = _walk(tables, birth[0], rng, most_flights, polarised, records[i])
-        records[i]["fate"] = fate
+        records[i]["fate"] = _walk(tables, birth[0], rng, most_flights, polarised, records[i])

@@ -14,15 +14,8 @@ from pathlib import Path
 import numpy as np
 from lxml import etree
 
+from mcrim_mitsuba.core import numbers
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.numbers import (
-    ALL_DETECTORS,
-    COUNTED,
-    LARGEST_INDEX,
-    Value,
-    judge,
-    parse_number,
-)
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.xml_tree import Node, misled, misspelt, three_numbers, transform_matrix
 
@@ -196,7 +189,7 @@ def _problems_of_parameters(file: SceneFile) -> dict[str, SceneProblem]:
     problems = {}
     for name, value in file.parameters.items():
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if is_number and (wrong := judge(name, float(value))) is not None:
+        if is_number and (wrong := numbers.judge(name, float(value))) is not None:
             kind, text, mend = wrong
             what, default = f"{name} = {value:g}", file.defaults[name]
             place: tuple[Path, int | None] = default.path, default.line
@@ -217,10 +210,10 @@ def problems_of_counted(file: SceneFile) -> list[SceneProblem]:
     """An integrator that is to count a detector which there is not."""
     problems = []
     for integrator in file.root.iter("integrator"):
-        counted = integrator.named(COUNTED)
-        names = [ALL_DETECTORS, *detectors_of(file)]
+        counted = integrator.named(numbers.COUNTED)
+        names = [numbers.ALL_DETECTORS, *detectors_of(file)]
         if counted is not None and (name := counted.get("value", "")) not in names:
-            text = f"{COUNTED} = {name!r} is the id of no shape that wears a photodetector"
+            text = f"{numbers.COUNTED} = {name!r} is the id of no shape that wears a photodetector"
             place = (file.path, None) if file.overrides else file.place_of(counted)
             problems.append(SceneProblem("detector", text, did_you_mean(name, names), *place))
     return problems
@@ -255,7 +248,7 @@ def _problems_of_spheres(file: SceneFile) -> Iterator[SceneProblem]:
                 yield SceneProblem("value", text, mend, *file.place_of(shape))
 
 
-def _problems_of_faces(file: SceneFile, told: Collection[Value]) -> list[SceneProblem]:
+def _problems_of_faces(file: SceneFile, told: Collection[numbers.Value]) -> list[SceneProblem]:
     """Faces whose optical surface is missing, half written or out of range.
 
     What a parameter put there that is wrong, and has been told, is not told again.
@@ -313,7 +306,7 @@ def _problems_of_defaults(file: SceneFile) -> Iterator[SceneProblem]:
 
 
 def _problems_of_dielectric(
-    file: SceneFile, element: Node, shape: str, told: Collection[Value]
+    file: SceneFile, element: Node, shape: str, told: Collection[numbers.Value]
 ) -> Iterator[SceneProblem]:
     """Indices of a dielectric that the scene does not write, or that no medium has."""
     who = f"bsdf {element.get('id')!r}" if element.get("id") else f"the bsdf of {shape}"
@@ -337,8 +330,8 @@ def _problems_of_dielectric(
             default = f'<default name="n_crystal" value="{text}"/>'
             mend = f"write value=\"$n_crystal\" here and '{default}' at the top"
             raise InputError(problem, mend, path=path, line=line)
-        value = parse_number(side, text, path=path, line=line)
-        if not 1.0 <= value <= LARGEST_INDEX and value not in told:
+        value = numbers.parse_number(side, text, path=path, line=line)
+        if not 1.0 <= value <= numbers.LARGEST_INDEX and value not in told:
             text = f"{who} has {side} = {value:g}, which is no refractive index"
-            mend = f"give a number from 1 to {LARGEST_INDEX:g}"
+            mend = f"give a number from 1 to {numbers.LARGEST_INDEX:g}"
             yield SceneProblem("index", text, mend, path, line)

@@ -125,10 +125,9 @@ def spectrophotometer_of(bench: SceneFile) -> SceneFile:
     for shape in derived.parts.shapes:
         indices = indices_of(derived, shape)
         if indices is not None and is_filled(min(indices)):
-            raise editor.refusal(
-                f"{shape.get('id')} touches an index of {min(indices):g} in the beam, too",
-                f"name the liquid's index as a parameter {GAP_INDEX}, which is that of air there",
-            )
+            problem = f"{shape.get('id')} touches an index of {min(indices):g} in the beam, too"
+            mend = f"name the liquid's index as a parameter {GAP_INDEX}, which is that of air there"
+            raise editor.refusal(problem, mend)
     return derived
 
 

@@ -104,8 +104,7 @@ def read_index(what: str, text: str, folder: Path | None = None, **place: Any) -
     """
     medium, where = material_at(what, text, **place)
     if isinstance(where, str):
-        home = Path(place.get("path") or "").parent if folder is None else folder
-        path = home / where
+        path = (Path(place.get("path") or "").parent if folder is None else folder) / where
         if not is_there(path):
             problem = f"{what} names neither a wavelength nor a file: {path} does not exist"
             raise InputError(problem, f"write {_EXAMPLE.format(medium.name)}", **place)

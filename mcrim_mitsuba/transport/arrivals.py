@@ -62,18 +62,15 @@ class DetectorPlane:
         share = (np.arange(_RADII) + 0.5) / _RADII
         radius = np.sqrt(inner[:, None] + share * (outer - inner)[:, None])
         angle = 2.0 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND
-        around = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        points = radius[..., None, None] * around
+        points = radius[..., None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         hit = self.on_detector(points.reshape(-1, 2)).reshape(len(inner), -1)
         return np.pi * (outer - inner) * hit.mean(axis=1)
 
     def cell_areas(self, x_edges_mm, y_edges_mm) -> np.ndarray:
         """Area (mm2) on the detector of the cells of a grid, shape (y, x)."""
         share = (np.arange(_RADII) + 0.5) / _RADII
-        x, y = (
-            (edges[:-1, None] + share * np.diff(edges)[:, None]).ravel()
-            for edges in (x_edges_mm, y_edges_mm)
-        )
+        both = x_edges_mm, y_edges_mm
+        x, y = ((edges[:-1, None] + share * np.diff(edges)[:, None]).ravel() for edges in both)
         points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         hit = self.on_detector(points).reshape(len(y) // _RADII, _RADII, -1, _RADII)
         return np.diff(y_edges_mm)[:, None] * np.diff(x_edges_mm) * hit.mean(axis=(1, 3))
@@ -124,13 +121,8 @@ def masks_of(model: SceneModel, plane: DetectorPlane) -> tuple[tuple[float, floa
     """Holes of masks over a horizontal detector: x, y of the centre and radius, mm; no others."""
     if abs(plane.normal[2]) < 1.0 - 1e-6:
         return ()
-    holes = {
-        (*s.axis_mm, s.aperture_radius_mm)
-        for s in model.surfaces
-        if np.isfinite(s.aperture_radius_mm)
-    }
-    masks = []
-    for x, y, radius in sorted(holes):
+    masked, masks = [s for s in model.surfaces if np.isfinite(s.aperture_radius_mm)], []
+    for x, y, radius in sorted({(*s.axis_mm, s.aperture_radius_mm) for s in masked}):
         across, up = plane.coordinates([[x, y, plane.centre[2]]])[0]
         masks.append((float(across), float(up), radius))
     return tuple(masks)
@@ -153,9 +145,8 @@ def largest_angle_deg(model: SceneModel, interfaces, plane: DetectorPlane) -> fl
             ratios.append(face.n_exterior / face.n_interior)
         elif surface.exterior in glass and surface.interior not in glass:
             ratios.append(face.n_interior / face.n_exterior)
-    if not ratios or max(ratios) >= 1.0:
-        return None
-    return float(np.degrees(np.arcsin(max(ratios))))
+    largest = max(ratios, default=1.0)
+    return None if largest >= 1.0 else float(np.degrees(np.arcsin(largest)))
 
 
 def arrivals(

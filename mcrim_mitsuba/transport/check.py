@@ -49,8 +49,7 @@ def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckRepo
     problems = problems_of_scene(simulation, faces)
     if light and not problems:
         problems = _problems_of_detector(simulation)
-    path = choose_path(model, simulation.polarization)
-    sentences = describe(simulation, faces, path.name)
+    sentences = describe(simulation, faces, choose_path(model, simulation.polarization).name)
     notes = (*file.notes, *simulation.notes)
     return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences), notes)
 
@@ -60,11 +59,8 @@ def problems_of_scene(
 ) -> list[SceneProblem]:
     """What is wrong with a loaded scene, whether light finds the detector or not."""
     file, model = simulation.file, simulation.model
-    problems = [
-        *problems_of_media(file, model.volumes),
-        *problems_of_crystal(simulation),
-        *problems_of_contacts(file, model),
-    ]
+    problems = problems_of_media(file, model.volumes) + problems_of_crystal(simulation)
+    problems += problems_of_contacts(file, model)
     if problems:
         return problems
     faces = interfaces or interfaces_of(file, model)
@@ -186,8 +182,7 @@ def _problems_of_detector(simulation: Simulation) -> list[SceneProblem]:
     detector = next(s for s in simulation.model.surfaces if s.kind == DETECTOR)
     text = f"no light can reach the detector {detector.name}: none of {SCOUTS:,} photons did"
     mend = "look for something opaque before it, or for a detector in the wrong place"
-    place = simulation.file.place_of_id(detector.name)
-    return [SceneProblem("detector", text, mend, *place)]
+    return [SceneProblem("detector", text, mend, *simulation.file.place_of_id(detector.name))]
 
 
 # ---- what the scene means -------------------------------------------------------------
@@ -197,10 +192,8 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
     """What light can do in a scene; `transport` names the path that `simulate` will take."""
     model = simulation.model
     indices = volume_indices(interfaces)
-    sentences = [
-        _volume_sentence(model, number, indices, simulation.crystal)
-        for number in range(1, len(model.volumes))
-    ]
+    numbers = range(1, len(model.volumes))
+    sentences = [_volume_sentence(model, number, indices, simulation.crystal) for number in numbers]
     detectors = []
     for surface in model.surfaces:
         if surface.kind == DETECTOR:
@@ -211,9 +204,8 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
         sentences.append(f"eta is that of {model.detectors[model.counted]} alone")
     for surface in model.surfaces:
         sentences += _surface_sentences(surface)
-    sentences += [
-        f"{shape.id()} {shape.words}" for shape in model.scene.shapes() if hasattr(shape, "words")
-    ]
+    shapes = model.scene.shapes()
+    sentences += [f"{shape.id()} {shape.words}" for shape in shapes if hasattr(shape, "words")]
     imperfect: dict[str, list[str]] = {}
     for surface in model.surfaces:
         if surface.painted:
@@ -230,10 +222,8 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
         if simulation.polarization
         else "Fresnel reflection is that of unpolarised light"
     )
-    sentences += [
-        f"{name} = {material.value}: {material.words}"
-        for name, material in simulation.file.materials.items()
-    ]
+    materials = simulation.file.materials.items()
+    sentences += [f"{name} = {material.value}: {material.words}" for name, material in materials]
     return [*sentences, f"transport: {transport}"]
 
 

@@ -109,22 +109,13 @@ def _find_convex_solids(model: SceneModel) -> list[Solid]:
     }
     clinging = hollow - {OUTSIDE}
     while True:
-        around = {
-            number: {
-                side
-                for sides in (
-                    *(_sides(model, face) for plane in planes for face in plane.faces),
-                    *(
-                        model.surfaces[model.walls[wall].surface].sides
-                        for wall in round_walls.get(number, ())
-                    ),
-                )
-                for side in sides
-                # no light comes back from a liquid without end
-                if side not in enclosed and side != model.endless
-            }
-            for number, planes in enclosed.items()
-        }
+        around = {}
+        for number, planes in enclosed.items():
+            surfaces = [model.flat_faces[face].surface for plane in planes for face in plane.faces]
+            surfaces += [model.walls[wall].surface for wall in round_walls.get(number, ())]
+            sides = {side for surface in surfaces for side in model.surfaces[surface].sides}
+            # no light comes back from a liquid without end
+            around[number] = sides - enclosed.keys() - {model.endless}
         several = [number for number, others in around.items() if len(others - clinging) > 1]
         if not several:
             break
@@ -274,11 +265,8 @@ class Ray:
         if axis not in self._known:
             reciprocal = dr.rcp(_component(self.direction, axis, weights))
             # from the reciprocal, so that a speed of zero of either sign is right as well
-            self._known[axis] = (
-                reciprocal,
-                _component(self.origin, axis, weights),
-                reciprocal > 0.0,
-            )
+            start, upwards = _component(self.origin, axis, weights), reciprocal > 0.0
+            self._known[axis] = reciprocal, start, upwards
         return self._known[axis]
 
 
@@ -534,8 +522,7 @@ class _Mantle:
         """Number (UInt32) of the face that is met at some distance."""
         if len(self._numbers) == 1:
             return mi.UInt32(self._numbers[0])
-        z = dr.fma(t, ray.direction.z, ray.origin.z)
-        return _choice(z <= self._level, *self._numbers)
+        return _choice(dr.fma(t, ray.direction.z, ray.origin.z) <= self._level, *self._numbers)
 
     def is_of(self, face):
         """Whether faces of these numbers (UInt32) are this wall (Mask)."""

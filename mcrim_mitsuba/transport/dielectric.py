@@ -139,16 +139,9 @@ def walk_facets(smooth, rough, direction, field, facing, ratio, alpha, haze, rng
     towards = frame.to_local(direction)
     turned = None if field is None else Field(frame.to_local(field.re), frame.to_local(field.im))
     height = walk.flown(mi.Float(1.0), towards, rng.next_float32(rough))
+    begun = mi.Bool(rough)
     _, _, rng.state, towards, turned, crossed, height = dr.while_loop(
-        state=(
-            mi.Bool(rough),
-            mi.UInt32(0),
-            mi.UInt64(rng.state),
-            towards,
-            turned,
-            mi.Bool(False),
-            height,
-        ),
+        state=(begun, mi.UInt32(0), mi.UInt64(rng.state), towards, turned, mi.Bool(False), height),
         cond=lambda walking, *_: walking,
         body=walk.meet,
         labels=("walking", "met", "state", "towards", "turned", "crossed", "height"),

@@ -63,8 +63,7 @@ def film_before(model: SceneModel, crystal: Solid) -> WrappingFilm | None:
       they enclose; a round one has the axis of the crystal's.
     - Nothing else stands in there.
     """
-    faces = model.flat_faces
-    numbers = {face.surface for face in faces if _is_wall(model, face.surface)}
+    numbers = {face.surface for face in model.flat_faces if _is_wall(model, face.surface)}
     numbers |= {wall.surface for wall in model.walls if _is_wall(model, wall.surface)}
     surfaces = {model.surfaces[number] for number in numbers}
     if len({replace(surface, name="") for surface in surfaces}) != 1:
@@ -151,8 +150,7 @@ def _enclosed_round(
     low = mantles[0].low_mm if mantles else min(levels)
     up = (0.0, 0.0, 1.0)
     ends = (Plane(up, True, max(levels) + slack, []), Plane(up, False, low - slack, []))
-    wider = replace(around[0], radius_mm=radii[0] + slack)
-    return Solid(OUTSIDE, ends, (), circle=wider)
+    return Solid(OUTSIDE, ends, (), circle=replace(around[0], radius_mm=radii[0] + slack))
 
 
 def _enclosed_by(model: SceneModel, walls: list[int]) -> Solid | None:
@@ -209,9 +207,8 @@ class FilmTrips:
         if self._round:
             assert crystal.circle is not None
             outer = replace(crystal.circle, radius_mm=crystal.circle.radius_mm + film.distance_mm)
-            self._discs = [
-                Disc(of, lambda value: opaque([value])) for of in (crystal.circle, outer)
-            ]
+            circles = crystal.circle, outer
+            self._discs = [Disc(of, lambda value: opaque([value])) for of in circles]
         self._distance = opaque([film.distance_mm])
         self._reflectance = opaque([film.surface.reflectance])
         self._mirrored = opaque([film.surface.reflectance * film.surface.mirror_part])

@@ -180,9 +180,8 @@ class FoldedBody(ConvexBody):
             if any(contacts):
                 per_log = opaque([1.0 / math.log1p(-max(contacts))])
                 self._contacts[axis] = per_log, *map(bool, contacts)
-                self.touched += [
-                    f for end, c in zip(ends, contacts, strict=True) if c for f in end.faces
-                ]
+                pairs = zip(ends, contacts, strict=True)
+                self.touched += [f for end, c in pairs if c for f in end.faces]
         self._wall_total = None
         if wall_folds(model, solid):
             assert solid.circle is not None
@@ -241,8 +240,7 @@ class FoldedBody(ConvexBody):
                 first = missed == 2.0 * dr.floor(0.5 * missed)
                 number = dr.select(upwards == first, mi.UInt32(high.leave), mi.UInt32(low.leave))
                 out.let_out(~opens & (t < t_open) & (t < out.out), t, number)
-        far = out.out >= self._longest
-        out.let_out(far, self._longest, mi.UInt32(NO_FACE))
+        out.let_out(out.out >= self._longest, self._longest, mi.UInt32(NO_FACE))
         if any(side.leave_rows for side in self._sides):
             place, flying, _ = self.folded(ray.origin, ray.direction, out.out, out.leaving, True)
             ray = Ray(place, flying)
@@ -288,8 +286,7 @@ class FoldedBody(ConvexBody):
         assert self._wall is not None
         if self._wall_total is None:
             return mi.Mask(False)
-        cosine2 = root2 / dr.square(self._wall.disc.radius)
-        return 1.0 - cosine2 >= self._wall_total
+        return 1.0 - root2 / dr.square(self._wall.disc.radius) >= self._wall_total
 
     def _turn(self, place, flying, ray: Ray, distance, mine):
         """Turn places and directions by the reflections at the round wall; their number."""

@@ -152,12 +152,9 @@ class GeneralPath:
             crossed=mi.Mask(True),
             volume=met.volume,
         )
-        if outcome.from_reflector is not None:
-            through.from_reflector = through.from_detector = mi.Mask(False)
-        if outcome.met_rough is not None:
-            through.met_rough = mi.Mask(False)
-        if outcome.from_mask is not None:
-            through.from_mask = mi.Mask(False)
+        for event in ("from_reflector", "from_detector", "met_rough", "from_mask"):
+            if getattr(outcome, event) is not None:
+                setattr(through, event, mi.Mask(False))
         if outcome.mask_radius2_mm2 is not None:
             through.mask_radius2_mm2 = mi.Float(0.0)
         outcome = dr.select(passes, through, outcome)

@@ -90,12 +90,11 @@ def plan_lanes(
     place = np.concatenate([(np.arange(count) + 0.5) / count for count in units])
     order = np.argsort(place, kind="stable")
     proposal = np.repeat(np.arange(len(units)), units)[order]
-    rank = np.concatenate([np.arange(count) for count in units])[order]
     return LanePlan(
         photons=base + (lane < extra).astype(np.int64),
         batch=lane % batches,
         proposal=proposal[unit],
-        rank=rank[unit],
+        rank=np.concatenate([np.arange(count) for count in units])[order][unit],
         stride=np.asarray(units, dtype=np.int64)[proposal[unit]],
     )
 
@@ -172,14 +171,9 @@ class FateTally:
     @property
     def by_detector(self) -> dict[str, tuple[float, float]]:
         """Eta of each of several detectors, and its standard error."""
-        return {
-            name.removeprefix(_BY_DETECTOR): (
-                self.fraction(name) / self.head_on,
-                self.sigma(name) / self.head_on,
-            )
-            for name in self.sums
-            if name.startswith(_BY_DETECTOR)
-        }
+        names = (n for n in self.sums if n.startswith(_BY_DETECTOR))
+        etas = {n: (self.fraction(n) / self.head_on, self.sigma(n) / self.head_on) for n in names}
+        return {name.removeprefix(_BY_DETECTOR): eta for name, eta in etas.items()}
 
     @property
     def eta(self) -> float:

@@ -210,8 +210,7 @@ class Loop:
             born = self._aim + dr.zeros(mi.Vector3f, lanes)
         field = None
         if self.path.polarization:
-            turn = self._lattice.coordinate(point, 5)
-            field = unpolarised_field(born, dr.two_pi * turn)
+            field = unpolarised_field(born, dr.two_pi * self._lattice.coordinate(point, 5))
         return Photon(
             o=self._birthplace(zero),
             d=born,
@@ -352,29 +351,10 @@ class Loop:
         field = None
         if polarized:
             turn = dr.select(ended, self._lattice.coordinate(point, 5), turn)
-            unpolarised = unpolarised_field(scattered, dr.two_pi * turn)
-            field = dr.select(fresh, unpolarised, outcome.field)
-        history = self._write(
-            Step(
-                p,
-                survive,
-                inside,
-                a_a,
-                distance,
-                weighted,
-                position,
-                arriving,
-                folds,
-                scatters,
-                scattered,
-                dies,
-                at_surface,
-                outcome,
-                w,
-                fate,
-                ended,
-            )
-        )
+            field = dr.select(fresh, unpolarised_field(scattered, dr.two_pi * turn), outcome.field)
+        flight = p, survive, inside, a_a, distance, weighted, position, arriving, folds
+        end = scatters, scattered, dies, at_surface, outcome, w, fate, ended
+        history = self._write(Step(*flight, *end))
         place = dr.select(at_surface, outcome.position, position)
         volume = dr.select(at_surface, outcome.volume, p.volume)
         face = path.face_of(met) if outcome.face is None else outcome.face
@@ -437,11 +417,8 @@ class Loop:
         """What the loop found, when it has run."""
         slope: Any = None
         if self._tangent is not None:
-            varied = [
-                coefficients[n]
-                for coefficients in (self._scat, self._absorb)
-                for n in self._tangent
-            ]
+            both = self._scat, self._absorb
+            varied = [coefficients[n] for coefficients in both for n in self._tangent]
             dr.enqueue(dr.ADMode.Forward, varied)
             dr.traverse(dr.ADMode.Forward)
             every = final.fates[physics.DETECTED]

@@ -174,6 +174,7 @@ def _studio(bodies: Sequence[Body], camera: Camera, floor_z_mm: float, sky: np.n
     reach = float(np.abs(points).max() + np.abs(camera.target).max())
     placed = mi.ScalarTransform4f()
     eye, target = camera.eye.tolist(), camera.target.tolist()
+    bitmap = mi.Bitmap(np.dstack([sky] * 3).astype(np.float32))
     described = {
         "type": "scene",
         # no path is ended by chance: that is noise
@@ -183,11 +184,7 @@ def _studio(bodies: Sequence[Body], camera: Camera, floor_z_mm: float, sky: np.n
             "to_world": placed.translate([0, 0, floor_z_mm]).scale(1e3 * reach),
             "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": FLOOR}},
         },
-        "sky": {
-            "type": "envmap",
-            "bitmap": mi.Bitmap(np.dstack([sky] * 3).astype(np.float32)),
-            "to_world": placed.rotate([1, 0, 0], 90),
-        },
+        "sky": {"type": "envmap", "bitmap": bitmap, "to_world": placed.rotate([1, 0, 0], 90)},
         "camera": {
             "type": "perspective",
             "fov": camera.field_deg,

@@ -154,15 +154,12 @@ def edges(shapes: Iterable[Triangles], radius: float) -> Triangles:
     places = (places - places.min(axis=0)) @ (10**12, 10**6, 1)
     _, place = np.unique(places, return_inverse=True)
     ends = np.sort(place.reshape(-1, 2), axis=1)
+    pairs = ends[:, 0] * len(places) + ends[:, 1]
     _, first, edge, sharing = np.unique(
-        ends[:, 0] * len(places) + ends[:, 1],
-        return_index=True,
-        return_inverse=True,
-        return_counts=True,
+        pairs, return_index=True, return_inverse=True, return_counts=True
     )
     lowest = np.ones(len(first))
-    cosines = np.einsum("ij,ij->i", of_side[first[edge]], of_side)
-    np.minimum.at(lowest, edge, cosines)
+    np.minimum.at(lowest, edge, np.einsum("ij,ij->i", of_side[first[edge]], of_side))
     boxes = corners.min(axis=1).T.copy(), corners.max(axis=1).T.copy()
     sharp, alone = lowest < _SHARP, first[sharing == 1]
     kept = [s for s in alone if _is_rim(sides[s], of_side[s], corners, normals, boxes)]
@@ -322,8 +319,7 @@ class PhotographedBench:
         from mcrim_mitsuba.transport.solid_names import named_form
 
         volume = self._model.volumes[number]
-        faces = [shape for _, shape in self._enclosing(number)]
-        points = _points(faces)
+        points = _points([shape for _, shape in self._enclosing(number)])
         index, air = self._indices.get(volume.name), self._is_air(number)
         size = np.ptp(points, axis=0)
         wide = f"{size[0]:.4g} × {size[1]:.4g} mm, {size[2]:.3g} mm thick"

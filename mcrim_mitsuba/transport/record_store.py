@@ -53,8 +53,7 @@ def _scattered(step: Step, mine):
 
 def _log_rayleigh(step: Step, mine):
     cosine = dr.dot(step.arriving, step.scattered)
-    relative = 0.75 * dr.fma(cosine, cosine, 1.0)
-    return dr.select(_scattered(step, mine), dr.log(relative), 0.0)
+    return dr.select(_scattered(step, mine), dr.log(0.75 * dr.fma(cosine, cosine, 1.0)), 0.0)
 
 
 def _at_surface(event: Callable[..., Any]) -> Callable[..., Any]:
@@ -184,9 +183,8 @@ class RecordStore:
         self._head_on = emitter.model.head_on
         # Only the first table is read where nothing was written: its weight says so.
         self.tables = [dr.zeros(mi.Float, 4 * photons)]
-        self.tables += [
-            dr.empty(mi.Float, 4 * photons) for _ in range((len(self._columns) - 1) // 4)
-        ]
+        further = range((len(self._columns) - 1) // 4)
+        self.tables += [dr.empty(mi.Float, 4 * photons) for _ in further]
 
     def nothing(self, lanes: int = 1) -> dict[str, Any]:
         """The history of a photon at birth: UInt32 or Float, by column."""
@@ -205,10 +203,8 @@ class RecordStore:
                 continue
             if name == MASK_RADIUS:
                 grown[name] = dr.maximum(grown[name], dr.select(step.at_surface, more, 0.0))
-            elif column.counts:
-                grown[name] = grown[name] + mi.UInt32(more)
             else:
-                grown[name] = grown[name] + more
+                grown[name] = grown[name] + (mi.UInt32(more) if column.counts else more)
         return grown
 
     def put(self, slot, detected, step: Step, history: dict[str, Any], birth) -> None:
@@ -245,11 +241,8 @@ class RecordStore:
         # the first lanes may follow one photon more
         per_lane, more = divmod(self._photons, plan.lanes)
         of_more = opaque([more * (per_lane + 1)], mi.UInt32)
-        lane = dr.select(
-            seen < of_more,
-            seen // opaque([per_lane + 1], mi.UInt32),
-            opaque([more], mi.UInt32) + (seen - of_more) // opaque([per_lane], mi.UInt32),
-        )
+        later = opaque([more], mi.UInt32) + (seen - of_more) // opaque([per_lane], mi.UInt32)
+        lane = dr.select(seen < of_more, seen // opaque([per_lane + 1], mi.UInt32), later)
         columns = {"batch": dr.gather(mi.UInt32, opaque(plan.batch, mi.UInt32), lane)}
         for (name, column), value in zip(self._columns.items(), rows, strict=False):
             if column.counts:

@@ -271,8 +271,7 @@ class FlatFace:
     @property
     def filled_area(self) -> float:
         """In mm2, without the hole in it."""
-        whole = float(np.linalg.norm(cross(self.edge_u, self.edge_v)))
-        return whole / (1 + self.triangle)
+        return float(np.linalg.norm(cross(self.edge_u, self.edge_v))) / (1 + self.triangle)
 
     def margin(self, points: np.ndarray) -> np.ndarray:
         """How far inside points of its plane, shape (n, 3), lie, in parts of its edges."""
@@ -332,12 +331,7 @@ class SceneModel:
     def geometry(self) -> Hashable:
         """Where its faces and walls are and what they part; equal for models that agree in it."""
         faces = tuple(
-            (
-                *(v.tobytes() for v in (f.corner, f.edge_u, f.edge_v)),
-                f.triangle,
-                f.surface,
-                f.circle,
-            )
+            (np.array([f.corner, f.edge_u, f.edge_v]).tobytes(), f.triangle, f.surface, f.circle)
             for f in self.flat_faces
         )
         sides = tuple(surface.sides for surface in self.surfaces)
@@ -357,12 +351,10 @@ class SceneModel:
         assert self.endless is not None
         other = {OUTSIDE: self.endless, self.endless: OUTSIDE}
         inner, outer = (other.get(side, side) for side in surface.sides)
-        ratio = self._endless_index ** (
-            (surface.interior == OUTSIDE)
-            + (surface.exterior == self.endless)
-            - (surface.interior == self.endless)
-            - (surface.exterior == OUTSIDE)
-        )
+        # an interface's eta is the index of its interior over that of its exterior
+        power = {OUTSIDE: 1, self.endless: -1}
+        of_inner, of_outer = (power.get(side, 0) for side in surface.sides)
+        ratio = self._endless_index ** (of_inner - of_outer)
         eta = surface.eta * ratio if surface.kind == DIELECTRIC else surface.eta
         return replace(surface, interior=inner, exterior=outer, eta=eta)
 

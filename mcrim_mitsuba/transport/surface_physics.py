@@ -88,13 +88,11 @@ class SurfaceTables:
         #: Whether a surface takes a choice and a random direction.
         self.may_scatter = "reflectance" in columns or "mask_reflectance" in columns
         # small integers are exact in single precision
-        rows = np.array(
-            [
-                (*normal, s.eta, s.kind, *s.sides, *(value(s) for value in columns.values()))
-                for normal, s in zip(normals, surfaces, strict=True)
-            ],
-            dtype=float,
-        )
+        numbers = [
+            (*normal, s.eta, s.kind, *s.sides, *(value(s) for value in columns.values()))
+            for normal, s in zip(normals, surfaces, strict=True)
+        ]
+        rows = np.array(numbers, dtype=float)
         rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % 4)))
         self._tables = [opaque(table.ravel()) for table in np.split(rows, rows.shape[1] // 4, 1)]
 
@@ -234,8 +232,7 @@ class Encounter:
     def diffuse_about(self, normal):
         """A direction by Lambert's law about a unit normal."""
         # a point of the unit sphere that touches the surface
-        sphere = mi.warp.square_to_uniform_sphere(mi.Point2f(self.u, self.v))
-        return dr.normalize(normal + sphere)
+        return dr.normalize(normal + mi.warp.square_to_uniform_sphere(mi.Point2f(self.u, self.v)))
 
     def lambertian(self):
         """A direction by Lambert's law, and unpolarised light along it."""
@@ -249,10 +246,8 @@ class Encounter:
         direction = dr.normalize(dr.fma(self.facing, 2.0 * self.cosine, self.direction))
         if self.field is None:
             return direction, None
-        turned = (
-            dr.fma(self.facing, 2.0 * dr.dot(self.facing, e), -e)
-            for e in (self.field.re, self.field.im)
-        )
+        parts = self.field.re, self.field.im
+        turned = (dr.fma(self.facing, 2.0 * dr.dot(self.facing, e), -e) for e in parts)
         return direction, dielectric.Field(*turned)
 
 
@@ -336,22 +331,14 @@ def _at_interface(light: Encounter, rng, active):
     row, facing, cosine = light.row, light.facing, light.cosine
     # n_i / n_t along the direction of travel
     ratio = dr.select(light.leaving, row.eta, dr.rcp(row.eta))
-    way = dielectric.split(light.direction, light.field, facing, ratio, cosine, light.choice)
+    flight = light.direction, light.field, facing, ratio
+    way = dielectric.split(*flight, cosine, light.choice)
     hazy = active & (row.kind == DIELECTRIC)
     haze = None if row.haze is None else row.haze * dr.select(light.leaving, 1.0, dr.rcp(row.eta))
     if row.roughness is not None:
         rough = hazy & (row.roughness != 0.0)
         way = dielectric.walk_facets(
-            way,
-            rough,
-            light.direction,
-            light.field,
-            facing,
-            ratio,
-            row.roughness,
-            haze,
-            rng,
-            beckmann=row.beckmann,
+            way, rough, *flight, row.roughness, haze, rng, beckmann=row.beckmann
         )
         hazy &= ~rough
     if haze is not None:

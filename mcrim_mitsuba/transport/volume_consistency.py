@@ -240,8 +240,7 @@ def claimed_indices(interfaces: Iterable[Interface]) -> dict[str, list[tuple[flo
     """What faces say of the index of every named volume; what is outside may differ."""
     claims: dict[str, list[tuple[float, Interface]]] = {}
     for face in interfaces:
-        sides = (face.interior, face.n_interior), (face.exterior, face.n_exterior)
-        for volume, index in sides:
+        for volume, index in (face.interior, face.n_interior), (face.exterior, face.n_exterior):
             if index is not None and volume != "outside":
                 claims.setdefault(volume, []).append((index, face))
     return claims
@@ -399,18 +398,15 @@ class _Judge:
             if not first.max() < last.min():
                 continue
             met = crossings.distance[line][of_volume[line]]
-            for distance, axis in (
-                (first.max(), int(first.argmax())),
-                (last.min(), int(last.argmin())),
-            ):
+            ends = (first.max(), int(first.argmax())), (last.min(), int(last.argmin()))
+            for distance, axis in ends:
                 if not (np.abs(met - distance) < 1e-3 * size).any():
                     high = abs((o + distance * d)[axis] - upper[axis]) < 1e-6 * size
                     sides[axis, bool(high)] += 1
         if not sides:
             return None
         (axis, high), _ = sides.most_common(1)[0]
-        place = (upper if high else lower)[axis]
-        return axis, round(float(place), 5) + 0.0
+        return axis, round(float((upper if high else lower)[axis]), 5) + 0.0
 
     def neighbours(self) -> list[SceneProblem]:
         """Neighbouring faces that give the space between them different indices."""

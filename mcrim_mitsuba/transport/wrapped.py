@@ -107,11 +107,8 @@ class WrappedFaces:
         """The surfaces that light from `within` may meet the reflector at, by their numbers."""
         changed, film = {}, self.wrapping.exterior
         for number, (surface, reach) in enumerate(zip(self.surfaces, self.reaches, strict=True)):
-            if (
-                surface.kind != DIELECTRIC
-                or film not in surface.sides
-                or not within & set(surface.sides)
-            ):
+            borders = surface.kind == DIELECTRIC and film in surface.sides
+            if not (borders and within & set(surface.sides)):
                 continue
             lies_in = reach[:, 0] > -self.rounding  # (faces, bounds)
             bare = lies_in[:, self.shape.open].any(axis=1)

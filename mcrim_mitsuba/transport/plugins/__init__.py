@@ -62,8 +62,8 @@ def beam_axis(props) -> str:
     return axis
 
 
-def described(*names: str):
-    """The methods `traverse` and `to_string` of a plugin that consists of these attributes.
+def described(names: str):
+    """The methods `traverse` and `to_string` of a plugin that consists of attributes, ``"a b"``.
 
     (A plugin has one base class, Mitsuba's, so that they cannot be inherited.)
     """
@@ -71,12 +71,12 @@ def described(*names: str):
     def traverse(self, callback) -> None:
         import mitsuba as mi
 
-        for name in names:
+        for name in names.split():
             if getattr(self, name) is not None:
                 callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
 
     def to_string(self) -> str:
-        numbers = ", ".join(f"{name} = {getattr(self, name)}" for name in names)
+        numbers = ", ".join(f"{name} = {getattr(self, name)}" for name in names.split())
         return f"{type(self).__name__}[{numbers}]"
 
     return traverse, to_string

@@ -178,12 +178,7 @@ class Photodetector(mi.BSDF):
         return mi.depolarizer(mi.UnpolarizedSpectrum(self.reflectance))
 
     traverse, to_string = described(
-        "reflectance",
-        "specular",
-        "cathode_nm",
-        "angular_falloff",
-        "radial_falloff",
-        "acceptance_deg",
+        "reflectance specular cathode_nm angular_falloff radial_falloff acceptance_deg"
     )
 
 
@@ -229,9 +224,8 @@ class Polish(mi.BSDF):
         self.ground_loss = number(props, "ground_loss", 0.0)
         self.rms_roughness_nm = number(props, "rms_roughness_nm", 0.0, high=HIGHEST_NM)
         self.wavelength_nm = number(props, "wavelength_nm", USUAL_NM, low=100.0, high=1e4)
-        self.smooth = mi.load_dict(
-            {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior}, parallel=False
-        )
+        dielectric = {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior}
+        self.smooth = mi.load_dict(dielectric, parallel=False)
         _take_flags(self, self.smooth)
 
     def sample(self, ctx, si, sample1, sample2, active=True):
@@ -244,13 +238,7 @@ class Polish(mi.BSDF):
         return self.smooth.pdf(ctx, si, wo, active)
 
     traverse, to_string = described(
-        "int_ior",
-        "ext_ior",
-        "roughness_alpha",
-        "surface_loss",
-        "ground_loss",
-        "rms_roughness_nm",
-        "wavelength_nm",
+        "int_ior ext_ior roughness_alpha surface_loss ground_loss rms_roughness_nm wavelength_nm"
     )
 
 

@@ -67,9 +67,8 @@ class BulkMedium(mi.Medium):
         self.relative_bandwidth = width / wavelength
         self.endless = bool(props.get("endless", False))
         if self.endless and any(given):
-            raise ValueError(
-                "an endless medium neither scatters nor absorbs: take its numbers away"
-            )
+            problem = "an endless medium neither scatters nor absorbs: take its numbers away"
+            raise ValueError(problem)
         if "index" in props and not is_filled(float(props["index"])):
             given = [0.0, 0.0]
         self.alpha_scat_per_cm, self.alpha_abs_per_cm = map(mi.Float64, given)
@@ -221,7 +220,7 @@ class ScintillationEmitter(mi.Emitter):
         return mi.ScalarBoundingBox3f()
 
     traverse, to_string = described(
-        "source_depth_mm", "side_depth_mm", "source_z_mm", "source_width_mm", "source_across_mm"
+        "source_depth_mm side_depth_mm source_z_mm source_width_mm source_across_mm"
     )
 
 
@@ -250,7 +249,7 @@ class CollimatedBeamEmitter(ScintillationEmitter):
         number, axis = model.volume_index(self.medium), BEAM_AXES.index(self.axis)
         return CollimatedBeam(model, number, axis, self.diameter_mm)
 
-    traverse, to_string = described("axis", "diameter_mm")
+    traverse, to_string = described("axis diameter_mm")
 
 
 mi.register_emitter("collimated_beam", CollimatedBeamEmitter)
@@ -362,7 +361,7 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
     def aov_names(self) -> list[str]:
         return []
 
-    traverse, to_string = described("max_depth", "polarization", "detector")
+    traverse, to_string = described("max_depth polarization detector")
 
 
 mi.register_integrator("light_collection", LightCollectionIntegrator)

@@ -32,8 +32,7 @@ class Polygons(mi.Mesh):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        to_world = props.get("to_world", mi.ScalarTransform4f())
-        matrix = np.array(to_world.matrix, dtype=np.float64)
+        matrix = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, dtype=np.float64)
         polygons = self.polygons(props, matrix)
         self.empty = not polygons
         if self.empty:
@@ -280,14 +279,12 @@ class Frame(Polygons):
             # a square hole of its whole width leaves no frame at all
             is_none = name == "inner_width" and inner == outer
             if not (outer > inner or is_none) or not inner > 0.0:
-                raise ValueError(
-                    f"a frame's outer_width ({outer:g}) must exceed its {name} ({inner:g})"
-                )
+                problem = f"a frame's outer_width ({outer:g}) must exceed its {name} ({inner:g})"
+                raise ValueError(problem)
         deep, sides = float(props.get("inner_depth", inner)), sides_of(props)
         if "inner_depth" in props and not outer >= deep > 0.0:
-            raise ValueError(
-                f"a frame's outer_width ({outer:g}) must exceed its inner_depth ({deep:g})"
-            )
+            problem = f"a frame's outer_width ({outer:g}) must exceed its inner_depth ({deep:g})"
+            raise ValueError(problem)
         if "inner_diameter" in props or sides != 4:
             if cut or "inner_depth" in props:
                 raise ValueError("a frame with a cut or an inner_depth has a hole of four sides")
@@ -387,9 +384,8 @@ class RoundWallShape(Polygons):
         radius = _disc_radius(props, float(props["width"]))
         thickness = float(props["thickness"]) + float(props.get("thickness_offset", 0.0))
         if np.abs(to_world - np.eye(4)).max() > 0.0:
-            raise ValueError(
-                "a round wall stands about the z axis, below z = 0: leave to_world out"
-            )
+            problem = "a round wall stands about the z axis, below z = 0: leave to_world out"
+            raise ValueError(problem)
         if not is_there(0.0, radius, float(props["width"])):
             return []
         self.wall = RoundWall(Circle((0.0, 0.0), radius), -thickness, 0.0, -1)

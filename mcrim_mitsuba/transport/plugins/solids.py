@@ -8,20 +8,14 @@ from collections.abc import Sequence
 import mitsuba as mi
 import numpy as np
 
-from mcrim_mitsuba.transport.plugins import sizes
-from mcrim_mitsuba.transport.plugins.shapes import (
-    Polygons,
-    polygon_faces,
-    regular_polygon,
-    sides_of,
-)
+from mcrim_mitsuba.transport.plugins import shapes, sizes
 from mcrim_mitsuba.transport.scene_model import Circle, RoundWall
 
 #: Steps around a lying cylinder that is drawn.
 _AROUND = 192
 
 
-class Polygon(Polygons):
+class Polygon(shapes.Polygons):
     """A regular polygon in the plane z = 0 of its own coordinates, normal along +z.
 
     XML: ``<shape type="polygon">`` with
@@ -33,13 +27,13 @@ class Polygon(Polygons):
     """
 
     def polygons(self, props, to_world):
-        width, sides = float(props["width"]), sides_of(props)
+        width, sides = float(props["width"]), shapes.sides_of(props)
         if not width >= 0.0:
             raise ValueError(f"a polygon's width is {width:g}; give 0 or more")
-        return polygon_faces(sides, width) if width else []
+        return shapes.polygon_faces(sides, width) if width else []
 
 
-class PrismSides(Polygons):
+class PrismSides(shapes.Polygons):
     """The sides of an upright prism or of a pyramid, cut or whole, normals outwards.
 
     Its foot is a regular polygon in the plane z = 0 of its own coordinates. XML:
@@ -56,11 +50,11 @@ class PrismSides(Polygons):
     """
 
     def polygons(self, props, to_world):
-        (width, height), sides = sizes(props, "width", "height"), sides_of(props)
+        (width, height), sides = sizes(props, "width", "height"), shapes.sides_of(props)
         top_width = float(props.get("top_width", width))
         if not top_width >= 0.0:
             raise ValueError(f"a prism's top_width is {top_width:g}; give 0 or more")
-        foot, top = (regular_polygon(sides, across) for across in (width, top_width))
+        foot, top = (shapes.regular_polygon(sides, across) for across in (width, top_width))
         top[:, 2] = height
         sides_around = []
         for i in range(sides):
@@ -70,7 +64,7 @@ class PrismSides(Polygons):
         return sides_around
 
 
-class _Lying(Polygons):
+class _Lying(shapes.Polygons):
     """What is around the lowest line of a cylinder that lies along x on z = 0."""
 
     def _sizes(self, props: mi.Properties, to_world: np.ndarray) -> tuple[float, float, float]:
@@ -155,8 +149,7 @@ class LyingFillet(_Lying):
             np.array([low, low + x, low + x + z, low + z]),
             np.array([low + y, low + y + z, low + y + z + x, low + y + x]),
         ]
-        across = np.linspace(-wet, wet, 17)
-        under = [(at, float(_height(radius, at))) for at in across]
+        under = [(at, float(_height(radius, at))) for at in np.linspace(-wet, wet, 17)]
         ends = []
         for (left, up), (right, next_up) in itertools.pairwise(under):
             foot = [(half, left, -thickness), (half, right, -thickness)]

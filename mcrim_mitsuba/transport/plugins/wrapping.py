@@ -6,13 +6,7 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.transport.plugins import number
-from mcrim_mitsuba.transport.plugins.shapes import (
-    Polygons,
-    polygon_faces,
-    regular_polygon,
-    sides_of,
-)
+from mcrim_mitsuba.transport.plugins import number, shapes
 from mcrim_mitsuba.transport.scene_model import AROUND, Circle, RoundWall
 
 #: What ``without`` may name besides the sides of four.
@@ -28,7 +22,7 @@ FOUR = ("right", "back", "left", "front")
 _ASKEW = 1e-6
 
 
-class Wrapping(Polygons):
+class Wrapping(shapes.Polygons):
     """A reflector around an upright box, cylinder or prism: walls and a lid, which face it.
 
     What it wraps stands on z = 0, about the z axis of its own coordinates. XML:
@@ -77,7 +71,7 @@ class Wrapping(Polygons):
             raise ValueError("a wrapping's width and height must be positive, its film 0 or more")
         self.contact, self.specular = (number(props, n, 0.0) for n in ("contact", "specular"))
         self.bare = self.height * number(props, "missing", 0.0, high=0.99)
-        count = AROUND if self.round else sides_of(props)
+        count = AROUND if self.round else shapes.sides_of(props)
         sides = FOUR if count == 4 else (SIDES,) * count
         words = str(props.get("without", NONE)).replace(",", " ").split()
         self.without = [] if words == [NONE] else words
@@ -89,9 +83,8 @@ class Wrapping(Polygons):
         names = (TOP, FOOT, *sides)
         #: What bounds what is wrapped: whether it is left out, normals outwards, shape (n, 3), and
         #: how far from the scene's origin along these, mm. The top is the first, the foot next.
-        self.open = np.array(
-            [n in self.without or (n in sides and SIDES in self.without) for n in names]
-        )
+        missing = [n in self.without or (n in sides and SIDES in self.without) for n in names]
+        self.open = np.array(missing)
         angles = 2.0 * np.pi / count * np.arange(count)
         normals = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(count)])
         self.normals = np.vstack([(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), normals]) @ turn.T
@@ -122,7 +115,7 @@ class Wrapping(Polygons):
         lid, walls = not self.open[0], ~self.open[2:]
         top = self.height + (self.film if lid else 0.0)
         low, high = np.array([(0.0, 0.0, self.bare), (0.0, 0.0, top)])
-        ring = regular_polygon(count, wide)
+        ring = shapes.regular_polygon(count, wide)
         # seen from inside, corners run anticlockwise, so that normals point inwards
         polygons = [
             np.array([start + low, end + low, end + high, start + high])
@@ -130,7 +123,7 @@ class Wrapping(Polygons):
             if wall
         ]
         if lid:
-            whole = [ring] if self.round else polygon_faces(count, wide)
+            whole = [ring] if self.round else shapes.polygon_faces(count, wide)
             polygons += [face[::-1] + high for face in whole]
         if self.round:
             x, y, z = to_world[:3, 3].tolist()
