@@ -216,7 +216,7 @@ def test_a_cube_with_cut_edges_by_either_path_and_in_any_number_of_triangles(tmp
     assert any(face.triangle for face in coarse.model.faces)
     traced = coarse.collect(150_000, seed=11, general=True)
     assert_same_light(fast, traced, z_max=Z)
-    fine = simulation(tmp_path, cut_cube(tmp_path, pieces=4), numbers)
+    fine = simulation(tmp_path, cut_cube(tmp_path, pieces=2), numbers)
     mixed = fine.collect(150_000, seed=12)
     assert_same_light(mixed, trace(fine.file, 100_000, 13), z_max=Z)
     assert len({fast.transport, traced.transport, mixed.transport}) == 3
