@@ -107,7 +107,7 @@ BENCHES = f"""
 import mcrim_mitsuba as mcrim, sys
 from mcrim_mitsuba.runs.executors import ProcessExecutor, more_units_follow, use_executor
 with use_executor(ProcessExecutor(2)), more_units_follow():
-    mcrim.calibrate(sys.argv[2], photons=16_384, check=False)
+    mcrim.calibrate(sys.argv[2], photons=100_000, check=False)
 assert "drjit" not in sys.modules
 print(mcrim.simulate(sys.argv[1], photons={PHOTONS}, threads=3).eta)
 """
