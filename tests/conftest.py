@@ -31,7 +31,6 @@ from mcrim_mitsuba.transport.variants import selected_llvm
 
 # Some tests import Dr.Jit themselves, which loads an LLVM then.
 selected_llvm()
-
 # While tests are collected there is hardly any garbage, and looking for it took time.
 gc.disable()
 

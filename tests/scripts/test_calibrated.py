@@ -34,7 +34,6 @@ FEW = ("background", "detector_radius", "gap_bubble")
 def of_few(shared_cache):
     """A bench of which three causes may be missing, simulated and fitted once."""
     possible = CampaignSimulations.possible
-    calibrated.simulated.cache_clear()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(FOLDER_VARIABLE, str(shared_cache))
         patch.setattr(

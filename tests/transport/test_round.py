@@ -86,7 +86,6 @@ def test_light_is_trapped_in_a_long_cylinder(tmp_path, axis, n):
     )
     path.write_text(ROD.format(low=low, high=high, turn=turn))
     simulation = Simulation(path, {"n": n}, check=False)
-    # so that either part is known as well
     result = simulation.collect({1.5: 150_000, 2.01: 60_000}[n], seed=1, max_depth=400)
     assert result.transport == IN_REGISTERS
     trapped = trapped_in_a_long_cylinder(n)

@@ -50,8 +50,7 @@ def from_box(rng, photons):
 def test_clear_cube_traps_what_the_closed_form_says_and_ends(scenes, n, general):
     simulation = Simulation(scenes / "camoo4.xml", CLEAR | {"n_crystal": n}, check=False)
     # the last of the flat cases ends by the limit of its own; what is not trapped is out earlier
-    runs = [(40_000, 300)] if general else [(4 * LANES, 300), (2_000, None)]
-    for photons, max_depth in runs:
+    for photons, max_depth in [(40_000, 300)] if general else [(4 * LANES, 300), (2_000, None)]:
         result = simulation.collect(photons, seed=1, general=general, max_depth=max_depth)
         trapped = trapped_fraction(n)
         sigma = np.sqrt(trapped * (1 - trapped) / result.photons)
