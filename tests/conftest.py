@@ -31,6 +31,8 @@ from mcrim_mitsuba.transport.variants import selected_llvm
 
 # Some tests import Dr.Jit themselves, which loads an LLVM then.
 selected_llvm()
+# While tests are collected there is hardly any garbage, and looking for it took time.
+gc.disable()
 
 # Tests simulate what they test; those of the cache name a folder of their own.
 os.environ["MCRIM_CACHE"] = "off"
@@ -169,6 +171,7 @@ def pytest_collection_finish():
     """What is there before the first test stays: looking for garbage in it took 4 % of the time."""
     gc.collect()
     gc.freeze()
+    gc.enable()
     gc.set_threshold(20_000, 20, 20)
 
 

@@ -30,16 +30,16 @@ from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 FEW = ("background", "detector_radius", "gap_bubble")
 
 
-@pytest.fixture
-def of_few(monkeypatch, shared_cache):
-    """A bench of which three causes may be missing."""
+@pytest.fixture(scope="module")
+def of_few(shared_cache):
+    """A bench of which three causes may be missing, simulated and fitted once."""
     possible = CampaignSimulations.possible
-    monkeypatch.setenv(FOLDER_VARIABLE, str(shared_cache))
-    monkeypatch.setattr(
-        CampaignSimulations, "possible", lambda self: {n: possible(self)[n] for n in FEW}
-    )
-    calibrated.simulated.cache_clear()
-    yield str(SCENES / "camoo4_misfit.toml")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(FOLDER_VARIABLE, str(shared_cache))
+        patch.setattr(
+            CampaignSimulations, "possible", lambda self: {n: possible(self)[n] for n in FEW}
+        )
+        yield str(SCENES / "camoo4_misfit.toml")
     calibrated.simulated.cache_clear()
 
 

@@ -4,7 +4,6 @@ Statistical tests have fixed seeds and state their false-alarm level.
 """
 
 import itertools
-import json
 import os
 import signal
 import subprocess
@@ -387,35 +386,32 @@ def test_more_photons_later_are_the_same_as_at_once(bench):
     assert points[0].sigma == pytest.approx(points[1].sigma, rel=1e-4)
 
 
-TABLE = ["--alpha-scat", "0.05:2:20", "--alpha-abs", "0.014,0.072", "--n-gap", "1.0,1.46"]
+TABLE = "--alpha-scat 0.05:2:20 --alpha-abs 0.014,0.072 --n-gap 1.0,1.46 --photons 1.5e6".split()
 
 
-def table(scenes, folder, cache, *options):
-    """A process that writes a table, and where it writes it."""
-    path = folder / "T.csv"
-    line = ["table", str(scenes / "camoo4.xml"), *TABLE, "--photons", "1.5e6", "-o", str(path)]
-    command = [sys.executable, "-m", "mcrim_mitsuba", *line, *options]
+def started(words, cache) -> subprocess.Popen:
+    """The command as a process."""
+    command = [sys.executable, "-m", "mcrim_mitsuba", *map(str, words)]
     environment = {**os.environ, "MCRIM_CACHE": str(cache)}
-    return subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ), path
+    return subprocess.Popen(command, env=environment, stdout=-1, stderr=-1)
 
 
-def test_killed_at_any_moment_the_next_run_goes_on(scenes, tmp_path):
+def test_killed_at_any_moment_the_next_run_goes_on(scenes, tmp_path, monkeypatch, mcrim):
     """Four kills at random moments of one table; then it is what it would have been.
 
     One in each quarter of the last two thirds of its time: before that Python and Mitsuba are
     loaded, and nothing can be lost. `scripts/trials kill` kills many more.
     """
-    process, path = table(scenes, tmp_path, "off")
-    start = time.perf_counter()
+    path, start = tmp_path / "T.csv", time.perf_counter()
+    words = ["table", scenes / "camoo4.xml", *TABLE, "-o", path]
+    process = started(words, "off")
     assert process.wait(120) == 0
     seconds, whole = time.perf_counter() - start, path.read_bytes()
     path.unlink()
     rng = np.random.default_rng(6)
     cache, finished = tmp_path / "cache", set()
     for moment in (1 / 3 + (np.arange(4) + rng.random(4)) / 6) * seconds:
-        process, _ = table(scenes, tmp_path, cache)
+        process = started(words, cache)
         try:
             process.wait(float(moment))
         except subprocess.TimeoutExpired:
@@ -426,11 +422,9 @@ def test_killed_at_any_moment_the_next_run_goes_on(scenes, tmp_path):
         chunks = {c for c in cache.rglob("*") if c.is_file() and c.name[0] != "."}
         assert finished <= chunks
         finished = chunks
-    process, path = table(scenes, tmp_path, cache, "--json", str(tmp_path / "t.json"))
-    assert process.wait(120) == 0
-    assert path.read_bytes() == whole
-    found = json.loads((tmp_path / "t.json").read_text())
-    assert found["cached_photons"] > 0
+    monkeypatch.setenv("MCRIM_CACHE", str(cache))
+    found = mcrim.json(*words)
+    assert path.read_bytes() == whole and found["cached_photons"] > 0
 
 
 def test_cache_knows_what_determines_records(bench, tmp_path, monkeypatch):
