@@ -69,8 +69,6 @@ def run(store, shared_cache, tmp_path_factory):
             patch.setenv(FOLDER_VARIABLE, str(shared_cache))
             patch.setattr(trials, "diagnose_and_repair", of_some)
             patch.setattr(inference, "next_measurements", lambda *_: ())  # nobody follows it
-            # the tracer's bench is exact: nine numbers that may be off would be simulated
-            patch.setattr(trials, "MICROMETER", "\n[tolerances]\nnone = true\n")
             return trials.run_trial(trial, folder, 1, SIMULATED)
 
     return run
