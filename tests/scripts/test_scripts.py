@@ -13,7 +13,7 @@ import night_batch
 import pytest
 import write_pages
 from convert_results import read_results
-from places import SCRIPTS, cases_of
+from places import SCENES, SCRIPTS, cases_of
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli.terminal import run
@@ -246,6 +246,19 @@ def test_results_are_refused_in_one_line(tmp_path, do):
         assert err.startswith("convert_results: ") or err.startswith(str(tmp_path))
         assert says in err and err.count("\n") == 1
     assert not (tmp_path / "out.csv").exists()
+
+
+@pytest.mark.parametrize("ending", ["csv", "tex"])
+def test_a_conversion_replaces_its_own_result_and_nothing_else(tmp_path, do, ending):
+    result, place = tmp_path / "light.json", tmp_path / f"readings.{ending}"
+    mcrim.simulate(mcrim.read_scene(SCENES / "camoo4.xml"), photons=1000).to_json(result)
+    place.write_text("label,signal,sigma\nair,14.3,0.2\n")
+    status, out, err = do(convert_results, result, "-o", place)
+    assert (status, out) == (2, "") and "it is no result of this script; name another" in err
+    assert place.read_text().startswith("label,signal")
+    place.unlink()
+    for _ in range(2):
+        assert do(convert_results, result, "-o", place)[0] == 0
 
 
 @pytest.mark.parametrize(
