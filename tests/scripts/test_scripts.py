@@ -3,6 +3,9 @@
 import csv
 import importlib
 import json
+import os
+import subprocess
+import sys
 
 import convert_results
 import eta_tables
@@ -308,3 +311,23 @@ def test_what_a_blind_check_kept_is_that_of_its_bench_errors_and_photons(do, tmp
         assert do(measured_blind, *line)[0] == 0
     bar, pixel = "bar 1000 0.05", f"pixel 1000 {tmp_path}"
     assert judged == [(bar, None), ("bar 1000 0.03", None), (bar, 10_000), (pixel, None)]
+
+
+def test_no_script_imports_mitsuba_before_an_llvm_is_chosen(tmp_path):
+    """The benchmark's had the system's, too old, and ended."""
+    folders = [SCRIPTS, *(SCRIPTS / name for name in ("benchmark", "trials", "validate"))]
+    files = [file for folder in folders for file in sorted(folder.glob("*.py"))]
+    modules = [".".join(file.relative_to(SCRIPTS).with_suffix("").parts) for file in files]
+    of_geant4 = "geant4_process"  # which only a process of its own imports
+    imports = "; ".join(f"import {module}" for module in modules if module != of_geant4)
+    path = os.pathsep.join(map(str, [SCRIPTS, SCRIPTS / "validate", SCRIPTS.parent]))
+    code = f"import sys; {imports}; print(*sys.modules.keys() & {{'drjit', 'mitsuba'}})"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": path},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == [] and "benchmark.__main__" in imports
