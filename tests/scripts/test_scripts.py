@@ -9,6 +9,7 @@ import sys
 
 import convert_results
 import eta_tables
+import make_raw_example
 import measured_blind
 import measured_elsewhere
 import measured_plausible
@@ -273,6 +274,9 @@ def test_a_conversion_replaces_its_own_result_and_nothing_else(tmp_path, do, end
         (measured_elsewhere, "fractions --photons -5", "'-5' is no number of photons"),
         (measured_plausible, "lengths --photons many", "'many' is no number of photons"),
         (write_pages, "--check", "No such option '--check'"),
+        (make_raw_example, __file__, "something is there already; name a new folder"),
+        (make_raw_example, str(SCENES), "something is there already; name a new folder"),
+        (make_raw_example, f"{__file__}/new", "the folder cannot be made"),
     ],
     ids=lambda one: getattr(one, "__name__", None),
 )
