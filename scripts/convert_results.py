@@ -22,6 +22,7 @@ import click
 import numpy as np
 import pandas
 import xarray
+from shared import refuse_foreign
 
 from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError, visible
@@ -59,6 +60,8 @@ _LIMIT_MB = 200
 _LARGEST_WHOLE = 2**63
 #: By which an interpolated part of the light may leave 0 to 1.
 _ROUNDING = 1e-3
+#: Of the names of a document that are read here.
+_VERSION = 1
 MEND = "give what --json of calibrate, compare, diagnose, report, simulate or table wrote"
 #: What tables are of besides those of `codec`: a row is a point.
 ETA_TABLE = "eta table"
@@ -243,15 +246,28 @@ def _read(path: Path) -> tuple[str, Part]:
     document = read_json(path)
     if not (kind := kind_of(document.content)):
         raise _not_a_result(path)
+    version = document.content.get("version", _VERSION)
+    if version != _VERSION:
+        problem = f"a document of version {version!r}, but version {_VERSION} is read here"
+        raise InputError(problem, "convert it with the mcrim that wrote it", path=path)
     document.content["kind"] = kind
 
     def table_of_json(document: JsonObject) -> Rows:
         rows = [point.row(*COLUMNS) for point in document.objects("rows")]
         if any(None in row.values() for row in rows):
-            raise _not_a_result(path)
+            raise _of_other_axes(path)
         return without_repeated(rows, path), []
 
     return read_document(document, READERS | {"table": (ETA_TABLE, table_of_json)})
+
+
+def _of_other_axes(path: Path, line: int | None = None) -> InputError:
+    """A table of eta over other parameters, or of something else."""
+    problem = f"no table of eta over n_gap, alpha_abs and alpha_scat ({','.join(COLUMNS)})"
+    mend = (
+        "give mcrim table --n-gap, --alpha-abs and --alpha-scat; of all axes it writes .nc itself"
+    )
+    return InputError(problem, mend, path=path, line=line)
 
 
 def without_repeated(rows: list[Row], path: Path) -> list[Row]:
@@ -279,8 +295,7 @@ def _table_of_csv(path: Path) -> Part:
         elif text.strip():
             lines.append((number, text))
     if not lines or tuple(csv_cells(lines[0][1], path, lines[0][0])) != COLUMNS:
-        mend = f"its header is {','.join(COLUMNS)}, as mcrim table writes it"
-        raise InputError("no table of eta", mend, path=path, line=lines[0][0] if lines else None)
+        raise _of_other_axes(path, lines[0][0] if lines else None)
     rows: list[Row] = []
     for number, text in lines[1:]:
         cells = csv_cells(text, path, number)
@@ -466,6 +481,8 @@ _WRITERS: dict[str, Callable[[ResultTable], bytes]] = {
     ".nc": lambda table: netcdf_bytes(dataset(table)),
     ".tex": lambda table: latex_text(table).encode(),
 }
+#: How texts begin that `write_table` writes.
+_BEGINNINGS = {".csv": (f"{RESULT},", ",".join(COLUMNS)), ".tex": r"% needs \usepackage{booktabs}"}
 #: Suffixes of the files that `write_table` writes.
 SUFFIXES = tuple(_WRITERS)
 
@@ -489,6 +506,8 @@ def main(results: tuple[str, ...], path: str) -> None:
     LaTeX has values with errors, rounded as the Particle Data Group does.
     """
     refuse_outputs({"--output": path}, results, suffixes={"--output": SUFFIXES})
+    if begins := _BEGINNINGS.get(Path(path).suffix.lower()):
+        refuse_foreign(Path(path), lambda text: text.startswith(begins))
     table = read_results(results)
     write_table(table, path)
     terminal.console().line(f"{path}: {table.kind}, {len(table.rows)} rows of {len(results)} files")

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.article import published
 from mcrim_mitsuba.cli import terminal
-from mcrim_mitsuba.core.files import write_bytes
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import is_there, make_folder, write_bytes
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance
 from mcrim_mitsuba.optics.spectrum import Spectrum, weighted_mean
@@ -56,13 +57,15 @@ SYNTHETIC = "SYNTHETIC, not measured: made by scripts/make_raw_example.py"
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path), default=FOLDER)
 def main(folder: Path) -> None:
-    """Write the raw example to FOLDER."""
+    """Write the raw example to FOLDER, a new one (default: that of scenes/, written anew)."""
+    if folder != FOLDER and is_there(folder) and (folder.is_file() or any(folder.iterdir())):
+        raise InputError("something is there already", "name a new folder", path=folder)
     write_example(folder)
 
 
 def write_example(folder: Path) -> None:
     """Write all files of the example; the folder is made if it is not there."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     random = np.random.default_rng(SEED)
     for name, signal in (("air", published.SIGNAL_AIR), ("gel", published.SIGNAL_GEL)):
         _write_histograms(folder, name, signal.value, signal.sigma, random)

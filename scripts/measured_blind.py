@@ -1,17 +1,19 @@
 """Blind checks of docs/measured_elsewhere.md: benches with something hidden, and what is said.
 
     python scripts/measured_blind.py gagg | pixel [--results FOLDER] [--campaigns N] [--photons N]
+                                                  [--error 5%]
 
 The independent tracer reads a bench of somebody else's with a hidden cause, at the errors of the
 real campaign; a diagnosis is to say what it is. `gagg`: the bar with six finishes. `pixel`: the
-LSO pixel against depth, with two lines. What is done goes into FOLDER, readings N.csv and what is
-said N.json, and is not done again. A table of Markdown is printed in the end.
+LSO pixel against depth, with two lines. What is done goes into FOLDER, in a folder for the bench
+and its errors, and is not done again: readings N.csv and what is said N.json, with a number of
+photons N_PHOTONS.json. A table of Markdown is printed in the end.
 """
 
 from __future__ import annotations
 
-import argparse
 import functools
+import io
 import json
 import sys
 import tempfile
@@ -20,11 +22,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 from measured_elsewhere import FINISHES, GAGG, PIXEL, campaign_in
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import make_folder, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.effects.catalogue import add, catalogue
 from mcrim_mitsuba.reference.tracer import trace
@@ -119,7 +125,9 @@ def histories_of(
         light = trace(scene, PHOTONS_OF_PIXEL, seed, histories=True).histories
         assert light is not None
         columns = light.scatterings, light.scattering_path_cm, light.path_cm
-        np.savez(file, *(column.astype(np.float32) for column in columns))
+        content = io.BytesIO()
+        np.savez(content, *(column.astype(np.float32) for column in columns))
+        write_bytes(file, content.getvalue())
     with np.load(file) as arrays:
         return tuple(arrays.values())
 
@@ -218,22 +226,38 @@ def is_named(row: Mapping[str, Any], accepted: set[str]) -> bool:
     return False
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("bench", choices=("gagg", "pixel"))
-    parser.add_argument("--results", type=Path)
-    parser.add_argument("--campaigns", type=int, default=30)
-    parser.add_argument("--photons", type=int)
-    parser.add_argument("--error", type=float, default=0.05, help="of the bar's readings")
-    options = parser.parse_args()
-    of_bar = options.bench == "gagg"
+def place_of(bench: str, error: float | None, number: int, photons: int | None) -> tuple[str, str]:
+    """Names of a campaign's readings and of what is said of them: all that they depend on."""
+    folder = bench if error is None else f"{bench}_{error:g}"
+    said = number if photons is None else f"{number}_{photons}"
+    return f"{folder}/{number}.csv", f"{folder}/{said}.json"
+
+
+@click.command()
+@click.argument("bench", type=click.Choice(["gagg", "pixel"]))
+@click.option("--results", type=Path, metavar="FOLDER", help="Of what is done (default: none).")
+@click.option(
+    "--campaigns", type=options.Whole(1, 10_000), default=30, show_default=True, help="How many."
+)
+@options.photons("as diagnose")
+@click.option(
+    "--error", type=options.Precision(), help="Of the bar's readings; the pixel's have their own."
+)
+def main(
+    bench: str, results: Path | None, campaigns: int, photons: int | None, error: float | None
+) -> None:
+    """Blind checks of docs/measured_elsewhere.md: benches with something hidden, what is said."""
+    of_bar = bench == "gagg"
+    if error and not of_bar:
+        raise InputError("the pixel's readings have errors of their own", "leave --error out")
+    error = (error or 0.05) if of_bar else None
     source, hidden = (GAGG, OF_BAR) if of_bar else (PIXEL, OF_PIXEL)
     rows: list[dict[str, Any]] = []
     rng, sizes = np.random.default_rng(45), list[float]()
     with tempfile.TemporaryDirectory() as temporary:
-        kept = options.results or Path(temporary)
-        kept.mkdir(parents=True, exist_ok=True)
-        for number in range(options.campaigns):
+        kept = results or Path(temporary)
+        make_folder(kept / Path(place_of(bench, error, 0, None)[0]).parent)
+        for number in range(campaigns):
             cause, (low, high, _) = list(hidden.items())[number % len(hidden)]
             # campaigns whose bench has a cause are of two sizes, of a shift either way; from the
             # second on they share its light
@@ -242,20 +266,20 @@ def main() -> None:
             if cause == ZERO and number // len(hidden) == 1:
                 sizes[-1] = -sizes[-1]
             size = sizes[-1]
-            readings, result = kept / f"{number}.csv", kept / f"{number}.json"
+            readings, result = (kept / name for name in place_of(bench, error, number, photons))
             if not readings.exists():
                 seed = 1000 * (number + 1)
                 text = (
-                    bar_readings(cause, size, seed, options.error)
-                    if of_bar
-                    else pixel_readings(cause, size, seed, kept)
+                    pixel_readings(cause, size, seed, kept)
+                    if error is None
+                    else bar_readings(cause, size, seed, error)
                 )
-                readings.write_text(text)
+                write_text(readings, text)
             if not result.exists():
                 with tempfile.TemporaryDirectory() as folder:
                     path = campaign_in(Path(folder), source, {}, csv=readings.read_text())
-                    said = judged(path, options.photons)
-                result.write_text(json.dumps({"cause": cause, "size": size, **said}))
+                    said = judged(path, photons)
+                write_text(result, json.dumps({"cause": cause, "size": size, **said}))
             rows.append(json.loads(result.read_text()))
     print(
         "| hidden | size | verdict | chi2 as it is | leading | named | among 95 % |\n"
@@ -272,4 +296,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(terminal.run(main, "measured_blind"))

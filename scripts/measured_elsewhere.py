@@ -10,7 +10,6 @@ the LSO pixel, step by step, with and without its second line. `draw` draws the 
 
 from __future__ import annotations
 
-import argparse
 import math
 import re
 import sys
@@ -18,10 +17,12 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+import click
 import tomlkit
 from matplotlib.figure import Figure
 
 import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
@@ -336,16 +337,19 @@ def draw(photons: int | None) -> None:
 OTHERS = {"finishes": finishes, "pixel": pixel, "draw": draw}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("fractions", *OTHERS))
-    parser.add_argument("--photons", type=int)
-    options = parser.parse_args()
-    if options.what == "fractions":
-        fractions(options.photons or 1_000_000)
+@click.command()
+@click.argument("what", type=click.Choice(["fractions", *OTHERS]))
+@options.photons("1e6 for fractions, else what each verb takes")
+def main(what: str, photons: int | None) -> None:
+    """Tables of docs/measured_elsewhere.md: what others measured, and what the package says of it.
+
+    draw replaces the picture of that page.
+    """
+    if what == "fractions":
+        fractions(photons or 1_000_000)
     else:
-        OTHERS[options.what](options.photons)
+        OTHERS[what](photons)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(terminal.run(main, "measured_elsewhere"))

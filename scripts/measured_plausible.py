@@ -9,15 +9,16 @@ plausibility; what is assumed stands in the rows.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from pathlib import Path
 
+import click
 import numpy as np
 from measured_elsewhere import PIXEL, SCENES, replaced
 
 import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
@@ -208,13 +209,13 @@ def lengths(photons: int | None) -> None:
         print(f"| {' | '.join([*cells, *(f'{model:.3f}' for model in models)])} |")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("lengths", "others"))
-    parser.add_argument("--photons", type=int)
-    options = parser.parse_args()
-    {"lengths": lengths, "others": others}[options.what](options.photons)
+@click.command()
+@click.argument("what", type=click.Choice(["lengths", "others"]))
+@options.photons("what compare takes for lengths, 2e5 for others")
+def main(what: str, photons: int | None) -> None:
+    """Short rows of docs/measured_elsewhere.md: what others measured or say, what comes of it."""
+    {"lengths": lengths, "others": others}[what](photons)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(terminal.run(main, "measured_plausible"))

@@ -61,7 +61,7 @@ def refuse_foreign(file: Path, is_ours: Callable[[str], bool]) -> None:
             return
     raise InputError(
         "there is a file of this name, and it is no result of this script",
-        "name another folder, or move the file away",
+        "name another place, or move the file away",
         path=file,
     )
 

@@ -11,13 +11,16 @@ from __future__ import annotations
 import inspect
 import math
 import re
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 
+from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.cli.main import mcrim
+from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.rounding import capital
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
@@ -204,12 +207,13 @@ def written(page: str, text: str) -> str:
     return text
 
 
+@click.command()
 def main() -> None:
-    """Write all pages."""
-    for page in dict(WRITERS):
-        path = DOCS / page[0]
-        path.write_text(written(page[0], path.read_text()))
+    """Write all pages of docs/ that say what the package says of itself."""
+    for page in dict.fromkeys(name for name, _ in WRITERS):
+        path = DOCS / page
+        write_text(path, written(page, path.read_text(encoding="utf-8")))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(terminal.run(main, "write_pages"))

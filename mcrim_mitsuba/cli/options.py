@@ -387,7 +387,7 @@ campaigns = _reads_campaigns(
 )
 
 #: How ``--photons`` is explained where effects are tried: the default, and what it counts.
-PHOTONS = "2.6e5 of each simulation with an effect in the scene"
+PHOTONS = "up to 2.6e5 of each simulation with an effect in the scene"
 FURTHER_PHOTONS = "Configurations as they are get four times as many."
 effect_photons = photons(PHOTONS, further=FURTHER_PHOTONS)
 

@@ -325,11 +325,6 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **lists
     # a name without an ending tells of no other format
     endings = _TABLES if path and Path(path).suffix else ()
     written = {"--output": (path, endings)} if path else {}
-    if figure and path:
-        from mcrim_mitsuba.output.figure_style import numbers_beside
-
-        # the same numbers: the table takes their place
-        written = {} if numbers_beside(figure) == Path(path) else written
     file = mcrim.read_scene(scene, overrides)
     showing.refuse_places(json_file, [file, *spectra], figure, written=written)
     if figure:

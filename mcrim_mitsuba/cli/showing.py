@@ -13,7 +13,8 @@ import click
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.terminal import Screen
-from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import is_there, refuse_outputs
 from mcrim_mitsuba.output.description import Description
 from mcrim_mitsuba.output.registry import Result
 from mcrim_mitsuba.runs.array_job import MergingExecutor, UnitFolder
@@ -88,8 +89,9 @@ def refuse_places(
 
     `inputs` are files that the command reads, of scenes and campaigns all that they are made of;
     an array job's folder is looked at too. `options.FILES` of the command's context keeps the list.
-    Beside a figure its numbers are looked at, and further pictures by their `endings`, as
-    `further_picture` takes them; `written` are other files.
+    Beside a figure its numbers are looked at (a table that lies there without a picture is no
+    figure's), and further pictures by their `endings`, as `further_picture` takes them; `written`
+    are other files.
 
     Raises InputError before any work is done.
     """
@@ -103,6 +105,7 @@ def refuse_places(
         files = [*files, *merging.folder.files]
     places: dict[str, str | None] = {"--json": json_file, "--log": context.params.get("log")}
     suffixes: dict[str, tuple[str, ...]] = {}
+    beside: dict[Path, Path] = {}
     for option, (path, wanted) in (written or {}).items():
         places[option], suffixes[option] = path, wanted
     if figure is not None:
@@ -114,8 +117,16 @@ def refuse_places(
             pictures[f"the {ordinal} picture of --figure"] = further_picture(figure, ending)
         for option, path in pictures.items():
             places[option], suffixes[option] = path, SUFFIXES
-            places[f"the numbers of {option.removeprefix('the ')}"] = str(numbers_beside(path))
+            numbers = numbers_beside(path)
+            # a table is the same numbers, and takes their place
+            if numbers != Path(places.get("--output") or ""):
+                places[f"the numbers of {option.removeprefix('the ')}"] = str(numbers)
+                beside[Path(path)] = numbers
     refuse_outputs(places, files, suffixes=suffixes)
+    for picture, numbers in beside.items():
+        if is_there(numbers) and not is_there(picture):
+            problem = f"the numbers of {picture.name} would replace this table of another origin"
+            raise InputError(problem, "name another figure, or move the table", path=numbers)
 
 
 def show(screen: Screen, description: Description, drawn: Iterable[Path] = ()) -> None:

@@ -26,7 +26,6 @@ from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.reference.tracer import TracerResult, trace
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -191,6 +190,9 @@ def _ours_recording(coupling: str) -> Sampler:
     drawn = ScatteringProposals(
         (own["alpha_scat_per_cm"],), (SHARE_STEPS,), own["alpha_abs_per_cm"]
     )
+    # it imports Dr.Jit, which takes the system's LLVM where none was chosen before
+    from mcrim_mitsuba.transport.collection import Recorder
+
     recorder = Recorder(simulation)
 
     def run(photons: int, seed: int) -> Sample:

@@ -37,6 +37,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import sha256
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.effect import Effect
@@ -95,7 +96,10 @@ def main(
     screen = terminal.console(json_file)
     wanted = [Trial("drawn", n) for n in range(number)]
     code = [Path(__file__), Path(formulas.__file__), Path(rivals.__file__)]
-    what = {"campaign": str(campaign), "photons": photons, "traced": traced, "seed": seed}
+    # a campaign that was edited, or lies elsewhere under the same name, is another one
+    read = sorted({path.resolve() for path in mcrim.read_campaign(campaign).files})
+    of = [f"{path.name} {sha256(path.read_bytes())}" for path in read]
+    what = {"campaign": of, "photons": photons, "traced": traced, "seed": seed}
     what |= {"excess": excess or traced}
     trials = Trials("calibrated", what, wanted, code, executor)
     arguments = {

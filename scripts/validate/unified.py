@@ -7,7 +7,7 @@ facets of alpha = sqrt(2) tan(sigma_alpha), of which UNIFIED lets a photon meet 
 needs geant4_pybind.
 """
 
-import argparse
+import importlib.util
 import json
 import math
 import os
@@ -15,10 +15,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import click
+
 import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run, processors
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.efficiency.bench import Bench
@@ -29,6 +34,22 @@ SIGMAS_ALPHA = (0.02, 0.05, 0.1, 0.2, 0.35)
 COEFFICIENTS = {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.001}
 #: So thin that its sides let nothing out, so thick that Geant4 does not take it for its tolerance.
 CAP_MM = 1e-3
+
+
+def job_of(work: Callable[..., None]):
+    """``--job``, by which a script that lets Geant4 trace calls its own `work`.
+
+    Without it, Geant4 must be there before anything is simulated.
+    """
+
+    def do(ctx: click.Context, param: click.Parameter, job: str | None) -> None:
+        if job:
+            work(**json.loads(job))
+        elif importlib.util.find_spec("geant4_pybind") is None:
+            mend = "install it: pip install 'mcrim-mitsuba[geant4]'"
+            raise InputError("Geant4 is not installed", mend)
+
+    return click.option("--job", hidden=True, expose_value=False, callback=do)
 
 
 def in_geant4(script: str, photons: int, **job: Any) -> tuple[float, float]:
@@ -95,13 +116,12 @@ def work(sigma_alpha: float, n_gap: float, photons: int) -> None:
     trace_and_end(Bench(n_gap=n_gap, **COEFFICIENTS), photons)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--photons", type=int, default=200_000)
-    parser.add_argument("--job", type=json.loads, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.job:
-        work(**options.job)
+@click.command()
+@options.photons("2e5, in Geant4")
+@job_of(work)
+def main(photons: int | None) -> None:
+    """Geant4's UNIFIED model of a ground top face beside facets that a photon walks among."""
+    photons = photons or 200_000
     scene = read_scene(scene_path("camoo4.xml"))
     print("| sigma_alpha | alpha | UNIFIED air, gel, ratio | walked facets air, gel, ratio |")
     print("|---|---|---|---|")
@@ -117,12 +137,10 @@ def main() -> None:
             mcrim.simulate(rough.with_overrides({**COEFFICIENTS, "n_gap": n}), run=run).eta
             for n in (1.0, 1.46)
         ]
-        theirs = [
-            in_geant4(__file__, options.photons, sigma_alpha=sigma, n_gap=n)[0] for n in (1.0, 1.46)
-        ]
+        theirs = [in_geant4(__file__, photons, sigma_alpha=sigma, n_gap=n)[0] for n in (1.0, 1.46)]
         cells = [f"{a:.4f}, {g:.4f}, {a / g:.3f}" for a, g in (theirs, ours)]
         print(f"| {sigma:g} | {alpha:.3f} | {cells[0]} | {cells[1]} |", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(terminal.run(main, "unified"))

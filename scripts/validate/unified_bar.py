@@ -7,13 +7,13 @@ in optical contact, with sigma_alpha = 0.2, published and here, with three ways 
 facets reflect. It needs geant4_pybind.
 """
 
-import argparse
-import json
 import sys
 from pathlib import Path
 
-from unified import in_geant4, trace_and_end
+import click
+from unified import in_geant4, job_of, trace_and_end
 
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.efficiency.bench import Bench
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -117,13 +117,12 @@ def work(faces: list[str], model: str, photons: int) -> None:
     trace_and_end(Bench(**BENCH), photons)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--photons", type=int, default=20_000)
-    parser.add_argument("--job", type=json.loads, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.job:
-        work(**options.job)
+@click.command()
+@options.photons("2e4")
+@job_of(work)
+def main(photons: int | None) -> None:
+    """The GAGG bar of docs/measured_elsewhere.md in our own Geant4, its faces ground by UNIFIED."""
+    photons = photons or 20_000
     from measured_elsewhere import CENTRE, FINISHES
 
     models = MIRRORS, LAMBERT, PUBLISHED
@@ -131,11 +130,11 @@ def main() -> None:
     for (finish, faces), published in zip(FINISHES.items(), CENTRE, strict=True):
         cells = []
         for model in models:
-            detected, _ = in_geant4(__file__, options.photons, faces=faces, model=model)
-            error = (detected * (1.0 - detected) / options.photons) ** 0.5
+            detected, _ = in_geant4(__file__, photons, faces=faces, model=model)
+            error = (detected * (1.0 - detected) / photons) ** 0.5
             cells.append(f"{detected:.4f} ± {error:.4f}")
         print(f"| {finish} | {published:.4f} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(terminal.run(main, "unified_bar"))

@@ -8,16 +8,16 @@ processor. The film of air is a volume there, the wrapping the border between it
 follows polarisation, as it does where nobody interferes. It needs geant4_pybind.
 """
 
-import argparse
-import json
 import math
 import sys
 import time
 from dataclasses import fields
 from pathlib import Path
 
-from unified import in_geant4, trace_and_end
+import click
+from unified import in_geant4, job_of, trace_and_end
 
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
@@ -106,13 +106,17 @@ def work(scene: str, coupling: str, photons: int) -> None:
     trace_and_end(Bench(**bench), photons, depolarize=False)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--precision", type=float, default=0.0015, help="of eta in Geant4")
-    parser.add_argument("--job", type=json.loads, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.job:
-        work(**options.job)
+@click.command()
+@click.option(
+    "--precision",
+    type=options.Precision(),
+    default="0.15%",
+    show_default=True,
+    help="Of eta in Geant4.",
+)
+@job_of(work)
+def main(precision: float) -> None:
+    """Wrapped benches that are shipped, in Geant4 and here."""
     print("| scene | gap | Mitsuba | Geant4 | difference | z | photons/s of a processor |")
     print("|---|---|---|---|---|---|---|")
     for scene in SCENES:
@@ -122,7 +126,7 @@ def main() -> None:
             began = time.process_time()
             ours = simulation.collect(16_000_000, seed=1)
             our_rate = ours.photons / (time.process_time() - began)
-            photons = round((1.0 / ours.eta - 1.0) / options.precision**2)
+            photons = round((1.0 / ours.eta - 1.0) / precision**2)
             eta, rate = in_geant4(__file__, photons, scene=scene, coupling=coupling)
             error = math.sqrt(eta * (1.0 - eta) / photons)
             sigma = math.hypot(error, ours.eta_sigma)
@@ -139,4 +143,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(terminal.run(main, "wrapped"))

@@ -138,6 +138,22 @@ def test_no_output_goes_onto_a_file_that_is_read(mcrim, bench, monkeypatch, verb
     assert before == {file: file.read_bytes() for file in files}
 
 
+def test_a_table_without_a_picture_is_not_taken_for_the_numbers_of_one(here, mcrim, scenes):
+    """Somebody's readings, whose name a figure happens to have; a table that is named is meant."""
+    shutil.copy(scenes / "camoo4_measured.csv", "fit.csv")
+    before = Path("fit.csv").read_bytes()
+    scene = scenes / "camoo4.xml"
+    said = mcrim.refused("simulate", scene, "--photons", "1e4", "--figure", "fit.png")
+    assert said == (
+        "mcrim: fit.csv: the numbers of fit.png would replace this table of another origin; "
+        "name another figure, or move the table\n"
+    )
+    assert Path("fit.csv").read_bytes() == before and os.listdir() == ["fit.csv"]
+    for figure in ([], ["--figure", "T.png"], ["--figure", "./T.png"]):
+        mcrim("table", scene, "--alpha-scat", "0.1,0.5", "--photons", "1e4", "-o", "T.csv", *figure)
+    assert Path("T.csv").read_text().startswith("alpha_scat_per_cm,eta,eta_sigma\n")
+
+
 def test_a_link_stays_and_what_it_leads_to_is_written(here):
     (here / "results").mkdir()
     (here / "results/old.json").write_text("old")

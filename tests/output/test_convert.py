@@ -251,7 +251,9 @@ def test_large_and_small_numbers(write):
         ("a.json", calibration(parameters={"a/b\n": {}}), "cannot be a column"),
         ("a.json", calibration(parameters={"a": {"value": None}}), "it has no value"),
         ("a.json", calibration(parameters={"a": 1.0}), "parameters.a: not an object"),
-        ("a.json", table(rows=[{"n_gap": 1.0}]), "no result of mcrim"),
+        ("a.json", table(rows=[{"n_gap": 1.0}]), "no table of eta over n_gap, alpha_abs and"),
+        ("a.csv", "gap_mm,eta,eta_sigma\n1,0.5,0.1\n", "of all axes it writes .nc itself"),
+        ("a.json", calibration(version=2), "a document of version 2, but version 1 is read here"),
         ("a.json", table(rows=[]), "a table without rows"),
     ],
 )

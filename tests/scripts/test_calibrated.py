@@ -1,11 +1,13 @@
 """Draws from the prior through simulated responses; `scripts/trials calibrated` does hundreds."""
 
 import math
+import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from places import SCENES
+from places import CAMPAIGN_FILES, SCENES
 from scipy.special import chdtrc
 from scipy.stats import binomtest, kstest
 from trials import calibrated
@@ -41,6 +43,28 @@ def of_few(shared_cache):
         )
         yield str(SCENES / "camoo4_misfit.toml")
     calibrated.simulated.cache_clear()
+
+
+def test_trials_are_kept_of_what_the_campaign_says(scenes, here, capfd, monkeypatch):
+    """They were those of its path: of a campaign that was edited since, the old ones were told."""
+    kept = []
+    monkeypatch.setattr(
+        calibrated,
+        "Trials",
+        lambda name, what, *_: SimpleNamespace(missing=kept.append(what) or []),
+    )
+    monkeypatch.setattr(calibrated, "do_missing", lambda *_: terminal.DONE)
+    for name in CAMPAIGN_FILES:
+        shutil.copy(scenes / name, here)
+    line = ["camoo4_campaign.toml", "--trials", "1"]
+    for after in ("14.3,0.2", "14.3,0.2", "14.3,0.3"):
+        readings = (scenes / "camoo4_measured.csv").read_text()
+        (here / "camoo4_measured.csv").write_text(readings.replace("14.3,0.2", after))
+        assert terminal.run(calibrated.main, "calibrated", line) == terminal.DONE
+    assert kept[0] == kept[1] != kept[2]
+    line[0] = "camoo4.xml"
+    assert terminal.run(calibrated.main, "calibrated", line) == terminal.YOUR_INPUT
+    assert "this is a scene, not a campaign" in capfd.readouterr().err and len(kept) == 3
 
 
 def test_draws_are_of_the_prior_and_their_scores_even(of_few):

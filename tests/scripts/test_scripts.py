@@ -1,14 +1,23 @@
 """Scripts for everyday work: they go on where they were, and say in one line what is wrong."""
 
 import csv
+import importlib
 import json
+import os
+import subprocess
+import sys
 
 import convert_results
 import eta_tables
+import make_raw_example
+import measured_blind
+import measured_elsewhere
+import measured_plausible
 import night_batch
 import pytest
+import write_pages
 from convert_results import read_results
-from places import cases_of
+from places import SCENES, SCRIPTS, cases_of
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli.terminal import run
@@ -241,3 +250,88 @@ def test_results_are_refused_in_one_line(tmp_path, do):
         assert err.startswith("convert_results: ") or err.startswith(str(tmp_path))
         assert says in err and err.count("\n") == 1
     assert not (tmp_path / "out.csv").exists()
+
+
+@pytest.mark.parametrize("ending", ["csv", "tex"])
+def test_a_conversion_replaces_its_own_result_and_nothing_else(tmp_path, do, ending):
+    result, place = tmp_path / "light.json", tmp_path / f"readings.{ending}"
+    mcrim.simulate(mcrim.read_scene(SCENES / "camoo4.xml"), photons=1000).to_json(result)
+    place.write_text("label,signal,sigma\nair,14.3,0.2\n")
+    status, out, err = do(convert_results, result, "-o", place)
+    assert (status, out) == (2, "") and "it is no result of this script; name another" in err
+    assert place.read_text().startswith("label,signal")
+    place.unlink()
+    for _ in range(2):
+        assert do(convert_results, result, "-o", place)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments", "says"),
+    [
+        (measured_blind, "pixel --photons 0", "'0' is no number of photons; give 1 to 1e13"),
+        (measured_blind, "pixel --error 5%", "have errors of their own; leave --error out"),
+        (measured_blind, "gagg --campaigns 0", "'0' is not a whole number from 1 to 10000"),
+        (measured_elsewhere, "fractions --photons -5", "'-5' is no number of photons"),
+        (measured_plausible, "lengths --photons many", "'many' is no number of photons"),
+        (write_pages, "--check", "No such option '--check'"),
+        (make_raw_example, __file__, "something is there already; name a new folder"),
+        (make_raw_example, str(SCENES), "something is there already; name a new folder"),
+        (make_raw_example, f"{__file__}/new", "the folder cannot be made"),
+    ],
+    ids=lambda one: getattr(one, "__name__", None),
+)
+def test_slips_in_what_makes_pages_are_told_in_one_line(do, monkeypatch, script, arguments, says):
+    monkeypatch.setattr(write_pages, "WRITERS", {})
+    status, out, err = do(script, *arguments.split())
+    assert (status, out, err.count("\n")) == (2, "", 1) and says in err
+
+
+def test_without_geant4_what_needs_it_says_so_before_it_works(do, monkeypatch):
+    monkeypatch.syspath_prepend(SCRIPTS / "validate")
+    unified = importlib.import_module("unified")
+    monkeypatch.setattr(unified.importlib.util, "find_spec", lambda name: None)
+    status, out, err = do(unified, "--photons", "1e3")
+    assert (status, out) == (2, "") and err.startswith("unified: Geant4 is not installed; ")
+
+
+def test_what_a_blind_check_kept_is_that_of_its_bench_errors_and_photons(do, tmp_path, monkeypatch):
+    """Readings with errors of 5 % were once taken for those with 3 %, a bar for a pixel."""
+    said = {"verdict": "adequate", "chi2": 1.0, "ndf": 2, "leading": [], "suspects": []}
+    judged = []
+
+    def judge(path, photons):
+        judged.append((path.with_suffix(".csv").read_text(), photons))
+        return {**said, "credible": [], "zero": None}
+
+    monkeypatch.setattr(measured_blind, "judged", judge)
+    for bench in ("bar", "pixel"):
+        monkeypatch.setattr(
+            measured_blind,
+            f"{bench}_readings",
+            lambda cause, size, seed, errors, bench=bench: f"{bench} {seed} {errors}",
+        )
+    for words in ("gagg", "gagg --error 3%", "gagg --photons 1e4", "pixel", "gagg", "pixel"):
+        line = *words.split(), "--results", tmp_path, "--campaigns", "1"
+        assert do(measured_blind, *line)[0] == 0
+    bar, pixel = "bar 1000 0.05", f"pixel 1000 {tmp_path}"
+    assert judged == [(bar, None), ("bar 1000 0.03", None), (bar, 10_000), (pixel, None)]
+
+
+def test_no_script_imports_mitsuba_before_an_llvm_is_chosen(tmp_path):
+    """The benchmark's had the system's, too old, and ended."""
+    folders = [SCRIPTS, *(SCRIPTS / name for name in ("benchmark", "trials", "validate"))]
+    files = [file for folder in folders for file in sorted(folder.glob("*.py"))]
+    modules = [".".join(file.relative_to(SCRIPTS).with_suffix("").parts) for file in files]
+    of_geant4 = "geant4_process"  # which only a process of its own imports
+    imports = "; ".join(f"import {module}" for module in modules if module != of_geant4)
+    path = os.pathsep.join(map(str, [SCRIPTS, SCRIPTS / "validate", SCRIPTS.parent]))
+    code = f"import sys; {imports}; print(*sys.modules.keys() & {{'drjit', 'mitsuba'}})"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": path},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == [] and "benchmark.__main__" in imports
