@@ -49,7 +49,7 @@ def read_campaign(
 
     They are looked at before the campaign is read, and again when its files are known.
     """
-    refuse_places(json_file, [campaign, *inputs], figure, *endings, written=written)
+    refuse_places(json_file, [campaign, *inputs], figure, *endings, written=written, early=True)
     read = when_trusted(
         lambda trusted: mcrim.read_campaign(campaign, trust_effects=trusted),
         "A campaign of somebody else is a program of theirs.",
@@ -84,14 +84,15 @@ def refuse_places(
     figure: str | None = None,
     *endings: str,
     written: Written | None = None,
+    early: bool = False,
 ) -> None:
     """Refuse outputs, also ``--log``, that cannot be written or would replace what is read.
 
     `inputs` are files that the command reads, of scenes and campaigns all that they are made of;
     an array job's folder is looked at too. `options.FILES` of the command's context keeps the list.
     Beside a figure its numbers are looked at (a table that lies there without a picture is no
-    figure's), and further pictures by their `endings`, as `further_picture` takes them; `written`
-    are other files.
+    figure's, but perhaps what is read where it is `early` to say), and further pictures by their
+    `endings`, as `further_picture` takes them; `written` are other files.
 
     Raises InputError before any work is done.
     """
@@ -124,7 +125,7 @@ def refuse_places(
                 beside[Path(path)] = numbers
     refuse_outputs(places, files, suffixes=suffixes)
     for picture, numbers in beside.items():
-        if is_there(numbers) and not is_there(picture):
+        if not early and is_there(numbers) and not is_there(picture):
             problem = f"the numbers of {picture.name} would replace this table of another origin"
             raise InputError(problem, "name another figure, or move the table", path=numbers)
 
