@@ -106,7 +106,7 @@ def refuse_places(
         files = [*files, *merging.folder.files]
     places: dict[str, str | None] = {"--json": json_file, "--log": context.params.get("log")}
     suffixes: dict[str, tuple[str, ...]] = {}
-    beside: dict[Path, Path] = {}
+    beside: list[Path] = []
     for option, (path, wanted) in (written or {}).items():
         places[option], suffixes[option] = path, wanted
     if figure is not None:
@@ -122,11 +122,12 @@ def refuse_places(
             # a table is the same numbers, and takes their place
             if numbers != Path(places.get("--output") or ""):
                 places[f"the numbers of {option.removeprefix('the ')}"] = str(numbers)
-                beside[Path(path)] = numbers
+                beside.append(numbers)
     refuse_outputs(places, files, suffixes=suffixes)
-    for picture, numbers in beside.items():
-        if not early and is_there(numbers) and not is_there(picture):
-            problem = f"the numbers of {picture.name} would replace this table of another origin"
+    for numbers in filter(is_there, () if early else beside):
+        names = (path.name for path in numbers.parent.iterdir() if path.stem == numbers.stem)
+        if not any(name.lower().endswith(SUFFIXES) for name in names):
+            problem = "a figure's numbers would replace this table, which lies there without one"
             raise InputError(problem, "name another figure, or move the table", path=numbers)
 
 

@@ -699,5 +699,5 @@ def test_figures_of_little_can_be_drawn():
 
 
 def test_help_gives_the_photons_that_are_spent():
-    assert PHOTONS.startswith(f"{EFFECT_PHOTONS / 1e5:.1f}e5 of each")
+    assert PHOTONS.startswith(f"up to {EFFECT_PHOTONS / 1e5:.1f}e5 of each")
     assert f"get {['four', 'five', 'six'][PLAIN_FACTOR - 4]} times" in FURTHER_PHOTONS

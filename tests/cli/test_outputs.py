@@ -145,7 +145,7 @@ def test_a_table_without_a_picture_is_not_taken_for_the_numbers_of_one(here, mcr
     scene = scenes / "camoo4.xml"
     said = mcrim.refused("simulate", scene, "--photons", "1e4", "--figure", "fit.png")
     assert said == (
-        "mcrim: fit.csv: the numbers of fit.png would replace this table of another origin; "
+        "mcrim: fit.csv: a figure's numbers would replace this table, which lies there without one; "
         "name another figure, or move the table\n"
     )
     assert Path("fit.csv").read_bytes() == before and os.listdir() == ["fit.csv"]
