@@ -145,8 +145,8 @@ def test_a_table_without_a_picture_is_not_taken_for_the_numbers_of_one(here, mcr
     scene = scenes / "camoo4.xml"
     said = mcrim.refused("simulate", scene, "--photons", "1e4", "--figure", "fit.png")
     assert said == (
-        "mcrim: fit.csv: a figure's numbers would replace this table, which lies there without one; "
-        "name another figure, or move the table\n"
+        "mcrim: fit.csv: a figure's numbers would replace this table, which lies there without "
+        "one; name another figure, or move the table\n"
     )
     assert Path("fit.csv").read_bytes() == before and os.listdir() == ["fit.csv"]
     for figure in ([], ["--figure", "T.png"], ["--figure", "./T.png"]):
