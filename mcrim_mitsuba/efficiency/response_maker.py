@@ -365,8 +365,8 @@ class ResponseMaker:
         is_look: bool,
     ) -> _EffectPlan:
         """An effect at the nodes of its parameters."""
-        few = is_look and (not self._weighs(effect) or effect.proposal is not None)
-        few = few and sizes is None
+        weighs_plain = self._weighs(effect) and effect.proposal is None
+        few = is_look and sizes is None and not weighs_plain
         axes = self._axes(effect.parameters, plain, few)
         if few and effect.number is not None:
             # as its tolerance, which is simulated anyway; what an index does bends

@@ -303,8 +303,7 @@ def _judged_precisely(
     precise, pairs, together = dict(screened.precise), set(screened.pairs), True
     while True:
         wanted = {**precise, **dict.fromkeys(adding)}
-        there = {**models.near, **{name: wanted.get(name) for name in models.precise}}
-        if not (wanted.items() <= there.items() and pairs <= models.responses.effects.keys()):
+        if not (models.are_precise(wanted) and pairs <= models.responses.effects.keys()):
             try:
                 models = _simulated(simulations, (*names, *sorted(pairs)), wanted)
             except InputError as error:

@@ -77,7 +77,7 @@ def repair(
     if effects:
         starts = {name: estimate.value for name, estimate in steps[-1].parameters.items()}
         try:
-            simulations.simulate(effects)
+            simulations.simulate(effects)  # at all sizes, as the mended campaign will be
             fit = simulations.settled_fit(effects, starts)
         except UndeterminedError as refusal:
             if effect:

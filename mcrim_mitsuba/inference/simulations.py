@@ -130,6 +130,13 @@ class CampaignModels:
         moved = response.log_ratio.swapaxes(0, -3)[used]
         return bool(np.abs(moved).max(initial=0.0) >= SCREENING.acts)
 
+    def are_precise(self, wanted: Mapping[str, Sizes | None]) -> bool:
+        """Whether all photons tell of effects, and pairs of them, at some sizes; None: at all."""
+        return all(
+            name in self.precise or (sizes is not None and self.near.get(name) == sizes)
+            for name, sizes in wanted.items()
+        )
+
     def is_precise(self, effect: str, values: Mapping[str, float]) -> bool:
         """Whether all photons tell of an effect, at the value of its parameter among these."""
         if (sizes := self.near.get(effect)) is None:
