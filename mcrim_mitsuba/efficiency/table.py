@@ -24,6 +24,7 @@ from mcrim_mitsuba.core.numbers import (
     judge,
     number_of,
 )
+from mcrim_mitsuba.core.rounding import number
 from mcrim_mitsuba.core.run import OverAxes, Run
 from mcrim_mitsuba.efficiency.attenuation import Attenuation, attenuations
 from mcrim_mitsuba.efficiency.eta_grid import (
@@ -166,7 +167,7 @@ def eta_table(
             f"{100 * worst:.2g} %"
         )
     notes += [
-        f"the attenuation length of {fit.light} is not told: it is above {least:.3g} mm (95 %)"
+        f"the attenuation length of {fit.light} is not told: it is above {number(least)} mm (95 %)"
         for fit in table.attenuation
         if (least := fit.lower_limit_mm) < 0.5 * fit.length_mm
     ]
