@@ -338,7 +338,8 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **lists
     screen.line("; ".join(words[n].format(_abbreviated(lists[n])) for n in words if n in lists))
     with work.begin() as run:
         tabulated = mcrim.table(file, run=run, method=method, **lists)
-    drawn = tabulated.draw(figure) if figure else ()
+    # the table that is named is meant, and the same numbers
+    drawn = tabulated.draw(figure, replace=True) if figure else ()
     if path and path.lower().endswith(".nc"):
         from mcrim_mitsuba.output.codec import netcdf_bytes
 

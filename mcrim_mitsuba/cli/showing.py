@@ -13,8 +13,7 @@ import click
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.terminal import Screen
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import is_there, refuse_outputs
+from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.output.description import Description
 from mcrim_mitsuba.output.registry import Result
 from mcrim_mitsuba.runs.array_job import MergingExecutor, UnitFolder
@@ -111,7 +110,11 @@ def refuse_places(
         places[option], suffixes[option] = path, wanted
     if figure is not None:
         # what draws takes a quarter of a second to load
-        from mcrim_mitsuba.output.figure_style import SUFFIXES, numbers_beside
+        from mcrim_mitsuba.output.figure_style import (
+            SUFFIXES,
+            numbers_beside,
+            refuse_table_without_figure,
+        )
 
         pictures = {"--figure": figure}
         for ordinal, ending in zip(_ORDINALS, endings, strict=False):
@@ -124,11 +127,8 @@ def refuse_places(
                 places[f"the numbers of {option.removeprefix('the ')}"] = str(numbers)
                 beside.append(numbers)
     refuse_outputs(places, files, suffixes=suffixes)
-    for numbers in filter(is_there, () if early else beside):
-        names = (path.name for path in numbers.parent.iterdir() if path.stem == numbers.stem)
-        if not any(name.lower().endswith(SUFFIXES) for name in names):
-            problem = "a figure's numbers would replace this table, which lies there without one"
-            raise InputError(problem, "name another figure, or move the table", path=numbers)
+    for numbers in () if early else beside:
+        refuse_table_without_figure(numbers)
 
 
 def show(screen: Screen, description: Description, drawn: Iterable[Path] = ()) -> None:

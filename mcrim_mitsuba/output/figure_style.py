@@ -21,8 +21,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.core.errors import visible
-from mcrim_mitsuba.core.files import refuse_suffix, write_bytes, write_text
+from mcrim_mitsuba.core.errors import InputError, visible
+from mcrim_mitsuba.core.files import is_there, refuse_suffix, write_bytes, write_text
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.codec import csv_lines
 from mcrim_mitsuba.output.describe_scene import fate_words
@@ -217,6 +217,16 @@ def numbers_beside(path: str | Path) -> Path:
     """Where the numbers behind a figure go: its name with ``.csv``."""
     path = Path(path)
     return path.parent / f"{path.stem}.csv"
+
+
+def refuse_table_without_figure(numbers: Path) -> None:
+    """Refuse (InputError) to replace a table that lies beside no figure of its name."""
+    if not is_there(numbers):
+        return
+    names = (path.name for path in numbers.parent.iterdir() if path.stem == numbers.stem)
+    if not any(name.lower().endswith(SUFFIXES) for name in names):
+        problem = "a figure's numbers would replace this table, which lies there without one"
+        raise InputError(problem, "name another figure, or move the table", path=numbers)
 
 
 def numbers_of(

@@ -340,17 +340,21 @@ class Result:
             raise InputError("there is no picture", "print it")
         return self._drawing(_chosen("picture", picture, self.pictures)).figure
 
-    def draw(self, path: str | Path) -> tuple[Path, ...]:
+    def draw(self, path: str | Path, *, replace: bool = False) -> tuple[Path, ...]:
         """Write all pictures (PNG or PDF) with their numbers (CSV): NAME, NAME_profiles, ...
 
-        Raises InputError if a file cannot be written.
+        Raises InputError if a file cannot be written, or if numbers would replace a table that
+        lies beside no picture of its name, unless that is to `replace`.
         """
+        from mcrim_mitsuba.output import figure_style
+
         path = Path(path)
-        written: list[Path] = []
-        for place, name in enumerate(self.pictures):
-            ending = f"_{name}" if place else ""
-            written += self._drawing(name).save(path.with_name(f"{path.stem}{ending}{path.suffix}"))
-        return tuple(written)
+        endings = ["", *(f"_{name}" for name in self.pictures[1:])]
+        files = [path.with_name(f"{path.stem}{ending}{path.suffix}") for ending in endings]
+        for file in () if replace else files:
+            figure_style.refuse_table_without_figure(figure_style.numbers_beside(file))
+        pictures = zip(self.pictures, files, strict=False)
+        return tuple(each for name, file in pictures for each in self._drawing(name).save(file))
 
 
 def _chosen(what: str, name: str | None, names: Iterable[str], quoted: str = "{}") -> str:

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import pytest
 from matplotlib.figure import Figure
 
+import mcrim_mitsuba
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import plain_texts, readings_beside, reduce
 from mcrim_mitsuba.core.errors import InputError
@@ -148,7 +149,13 @@ def test_a_table_without_a_picture_is_not_taken_for_the_numbers_of_one(here, mcr
         "mcrim: fit.csv: a figure's numbers would replace this table, which lies there without "
         "one; name another figure, or move the table\n"
     )
+    light = mcrim_mitsuba.simulate(scene, photons=10_000)
+    with pytest.raises(InputError, match="lies there without one"):
+        light.draw("fit.png")
     assert Path("fit.csv").read_bytes() == before and os.listdir() == ["fit.csv"]
+    for _ in range(2):
+        assert {file.name for file in light.draw("other.png")} >= {"other.png", "other.csv"}
+    assert light.draw("fit.png", replace=True) and Path("fit.csv").read_bytes() != before
     for figure in ([], ["--figure", "T.png"], ["--figure", "./T.png"]):
         mcrim("table", scene, "--alpha-scat", "0.1,0.5", "--photons", "1e4", "-o", "T.csv", *figure)
     assert Path("T.csv").read_text().startswith("alpha_scat_per_cm,eta,eta_sigma\n")
