@@ -57,6 +57,13 @@ def is_installed() -> bool:
     return importlib.util.find_spec("geant4_pybind") is not None
 
 
+def refuse_missing() -> None:
+    """Refuse (InputError) to go on where `is_installed` says no."""
+    if not is_installed():
+        mend = "install it: pip install 'mcrim-mitsuba[geant4]'"
+        raise InputError("Geant4 is not installed", mend)
+
+
 def trace_geant4(
     bench: Bench,
     photons: int,
@@ -96,9 +103,7 @@ def trace_geant4(
     """
     photons, seed = arguments_of(photons, seed)
     threads = Run(threads=threads).threads or processors()
-    if not is_installed():
-        mend = "install it: pip install 'mcrim-mitsuba[geant4]'"
-        raise InputError("Geant4 is not installed", mend)
+    refuse_missing()
     refuse_bench(bench)
     job = {
         "bench": dataclasses.asdict(bench),

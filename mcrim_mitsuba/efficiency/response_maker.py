@@ -433,12 +433,13 @@ class ResponseMaker:
         precise = set() if sizes is None else _near(axes[0], sizes)
         nodes: list[_Node] = []
         for number in seeing:
-            run, row, photons = plain[number], readings[number], self._photons[number]
-            every = self._sources(effect, run, photons)
+            run, row, most = plain[number], readings[number], self._photons[number]
+            photons = most
             # a number of the bench is looked at as its tolerance is simulated, for every fit
-            if is_look and (effect.number is None or photons == self._effect_photons):
-                photons = min(photons, self._look_photons)
+            if is_look and (effect.number is None or most == self._effect_photons):
+                photons = min(most, self._look_photons)
             few = self._sources(effect, run, photons)
+            every = self._sources(effect, run, most) if precise else few
             at_own_acceptance = self._at_own_acceptance(run)
             for place, values in _nodes(axes):
                 source, reference = every if place in precise else few

@@ -7,7 +7,6 @@ facets of alpha = sqrt(2) tan(sigma_alpha), of which UNIFIED lets a photon meet 
 needs geant4_pybind.
 """
 
-import importlib.util
 import json
 import math
 import os
@@ -23,12 +22,14 @@ import click
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run, processors
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from geant4 import refuse_missing
 
 SIGMAS_ALPHA = (0.02, 0.05, 0.1, 0.2, 0.35)
 COEFFICIENTS = {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.001}
@@ -45,9 +46,8 @@ def job_of(work: Callable[..., None]):
     def do(ctx: click.Context, param: click.Parameter, job: str | None) -> None:
         if job:
             work(**json.loads(job))
-        elif importlib.util.find_spec("geant4_pybind") is None:
-            mend = "install it: pip install 'mcrim-mitsuba[geant4]'"
-            raise InputError("Geant4 is not installed", mend)
+        else:
+            refuse_missing()
 
     return click.option("--job", hidden=True, expose_value=False, callback=do)
 
@@ -88,7 +88,6 @@ def trace_and_end(bench: Bench, photons: int, depolarize: bool = True) -> None:
 
 def work(sigma_alpha: float, n_gap: float, photons: int) -> None:
     """Trace, and print how many are detected; a cap of the crystal's medium has the ground face."""
-    sys.path.insert(0, str(Path(__file__).parents[1]))
     import geant4_process as process
     import geant4_pybind as g4
 

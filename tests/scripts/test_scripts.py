@@ -289,7 +289,7 @@ def test_slips_in_what_makes_pages_are_told_in_one_line(do, monkeypatch, script,
 def test_without_geant4_what_needs_it_says_so_before_it_works(do, monkeypatch):
     monkeypatch.syspath_prepend(SCRIPTS / "validate")
     unified = importlib.import_module("unified")
-    monkeypatch.setattr(unified.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     status, out, err = do(unified, "--photons", "1e3")
     assert (status, out) == (2, "") and err.startswith("unified: Geant4 is not installed; ")
 
